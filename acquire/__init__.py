@@ -1,0 +1,1 @@
+"""Devices in, session file out."""

@@ -1,0 +1,1 @@
+"""The devices: three small protocols, and the concrete devices that fill them."""

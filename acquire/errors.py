@@ -1,0 +1,23 @@
+"""The errors of capture; every message says what is wrong, where, and what to do."""
+
+
+class CaptureError(Exception):
+    """Base of all errors of the `acquire` package; `exit_code` is what the command line returns for it."""
+
+    exit_code = 3
+
+
+class DeviceError(CaptureError):
+    """A device is missing, was lost, or does not answer."""
+
+
+class FirmwareError(CaptureError):
+    """The trigger board's firmware does not fit this host."""
+
+    exit_code = 4
+
+
+class CaptureQualityError(CaptureError):
+    """What was recorded is not good enough for a calibration."""
+
+    exit_code = 5

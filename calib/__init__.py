@@ -1,0 +1,1 @@
+"""Session file in, microphone positions out."""

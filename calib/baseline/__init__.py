@@ -1,0 +1,1 @@
+"""The paper's methods, kept for comparison."""

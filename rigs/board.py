@@ -1,0 +1,132 @@
+"""The target: where its corners are, how they are found in a picture, and which pose that means."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rigs.description import Board, Intrinsics
+from rigs.geometry import Pose
+
+FloatArray = NDArray[np.float64]
+_MIN_CHARUCO_CORNERS = 8
+
+
+def board_corners_m(board: Board) -> FloatArray:
+    """Return the inner corners (n_corners, 3) in the board frame, row after row."""
+    columns, rows = board.corners
+    grid = np.mgrid[0:columns, 0:rows].T.reshape(-1, 2) * board.square_size_m
+    return np.column_stack([grid, np.zeros(len(grid))])
+
+
+def find_corners(image: NDArray[np.uint8], board: Board) -> FloatArray | None:
+    """Find the board's inner corners in a picture.
+
+    Parameters
+    ----------
+    image : (height, width) or (height, width, 3) array of bytes
+    board : Board
+
+    Returns
+    -------
+    (n_corners, 2) array in pixels, in the order of `board_corners_m`, or None when the board is not seen. Pixel centres
+    have whole numbers. Corners of a ChArUco board that are hidden are NaN.
+    """
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    if board.pattern == "charuco":
+        return _charuco_corners(np.ascontiguousarray(gray, dtype=np.uint8), board)
+    return _checkerboard_corners(np.ascontiguousarray(gray, dtype=np.uint8), board)
+
+
+def estimate_pose(corners_px: FloatArray, board: Board, intrinsics: Intrinsics) -> Pose | None:
+    """Find the board's pose from its corners (n_corners, 2), NaN where not seen; None where that fails.
+
+    Of the two poses that a plane admits, the one with the smaller reprojection error is refined by Levenberg-Marquardt
+    (OpenCV's IPPE: T. Collins and A. Bartoli, IJCV 109 (2014) 252, doi:10.1007/s11263-014-0725-5).
+    """
+    seen = np.isfinite(corners_px).all(axis=1)
+    if seen.sum() < 6:
+        return None
+    points, pixels = board_corners_m(board)[seen], corners_px[seen]
+    matrix, distortion = camera_matrix(intrinsics), np.array(intrinsics.distortion)
+    found, rotations, translations, _ = cv2.solvePnPGeneric(points, pixels, matrix, distortion, flags=cv2.SOLVEPNP_IPPE)
+    if not found:
+        return None
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-12)
+    rotation, translation = cv2.solvePnPRefineLM(
+        points, pixels, matrix, distortion, rotations[0], translations[0], criteria
+    )
+    return Pose.from_rotation_vector(cast(FloatArray, rotation), cast(FloatArray, translation))
+
+
+def project(points_m: FloatArray, pose: Pose, intrinsics: Intrinsics) -> FloatArray:
+    """Project points (n, 3) of the board frame into the picture, (n, 2) in pixels."""
+    vector, _ = cv2.Rodrigues(pose.rotation)
+    pixels, _ = cv2.projectPoints(
+        points_m, vector, pose.translation_m, camera_matrix(intrinsics), np.array(intrinsics.distortion)
+    )
+    return np.asarray(pixels, dtype=float).reshape(-1, 2)
+
+
+def camera_matrix(intrinsics: Intrinsics) -> FloatArray:
+    """Return the (3, 3) matrix that maps normalised image points to pixels."""
+    (fx, fy), (cx, cy) = intrinsics.focal_px, intrinsics.principal_px
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
+    """Return OpenCV's model of a ChArUco board.
+
+    Raises
+    ------
+    ValueError
+        The dictionary is not one of OpenCV's.
+    """
+    assert board.charuco is not None
+    number = getattr(cv2.aruco, board.charuco.dictionary, None)
+    if number is None:
+        raise ValueError(f"board.charuco.dictionary: OpenCV has no {board.charuco.dictionary}; try DICT_5X5_100")
+    columns, rows = board.corners
+    return cv2.aruco.CharucoBoard(
+        (columns + 1, rows + 1),
+        board.square_size_m,
+        board.charuco.marker_size_m,
+        cv2.aruco.getPredefinedDictionary(number),
+    )
+
+
+@lru_cache(maxsize=8)
+def _charuco_detector(board: Board) -> cv2.aruco.CharucoDetector:
+    return cv2.aruco.CharucoDetector(charuco_board(board))
+
+
+def _charuco_corners(gray: NDArray[np.uint8], board: Board) -> FloatArray | None:
+    found, ids, _, _ = _charuco_detector(board).detectBoard(gray)
+    if np.size(ids) < _MIN_CHARUCO_CORNERS:  # None where no marker was read: size 1
+        return None
+    corners = np.full((board.corners[0] * board.corners[1], 2), np.nan)
+    corners[np.asarray(ids).ravel()] = np.asarray(found, dtype=float).reshape(-1, 2)
+    return corners
+
+
+def _checkerboard_corners(gray: NDArray[np.uint8], board: Board) -> FloatArray | None:
+    found, corners = cv2.findChessboardCornersSB(gray, board.corners, flags=cv2.CALIB_CB_ACCURACY)
+    if not found:
+        return None
+    corners_px = np.asarray(corners, dtype=float).reshape(-1, 2)
+    return corners_px if _first_square_is_dark(gray, corners_px, board) else corners_px[::-1].copy()
+
+
+def _first_square_is_dark(gray: NDArray[np.uint8], corners_px: FloatArray, board: Board) -> bool:
+    """Tell the board's two ends apart: the square within the first four corners is dark, as the outermost one is."""
+    columns, rows = board.corners
+    grid = corners_px.reshape(rows, columns, 2)
+    centres = (grid[:-1, :-1] + grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1]) / 4
+    x, y = np.rint(centres).astype(int).transpose(2, 0, 1)
+    brightness = gray[np.clip(y, 0, gray.shape[0] - 1), np.clip(x, 0, gray.shape[1] - 1)].astype(float)
+    parity = np.add.outer(np.arange(rows - 1), np.arange(columns - 1)) % 2
+    return bool(brightness[parity == 0].mean() < brightness[parity == 1].mean())

@@ -1,0 +1,33 @@
+"""The errors of what a rig is; every message says what is wrong, where, and what to do."""
+
+
+class RigError(Exception):
+    """Base of all errors of the `rigs` package.
+
+    Attributes
+    ----------
+    exit_code : int
+        What a command line returns for it (2: usage or configuration, 5: data not good enough).
+    """
+
+    exit_code = 2
+
+
+class DescriptionError(RigError):
+    """A rig description is missing, cannot be read, or says something impossible."""
+
+
+class TargetExistsError(RigError):
+    """A file that would be written is already there; nothing is ever written over unasked."""
+
+
+class SessionError(RigError):
+    """A session file is missing, foreign, damaged, or lacks what is asked of it."""
+
+    exit_code = 5
+
+
+class ImportFormatError(RigError):
+    """Published measurements that should be imported are missing or not of the known form."""
+
+    exit_code = 5

@@ -1,0 +1,118 @@
+"""The session file's layout: every name, shape, dtype and unit, said once (told in words in FORMAT.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT = "acoustic-rig-session"
+VERSION = 1
+
+# Names of datasets. Root attributes: format, version, name, created_utc.
+TIME_DATA = "time_data"  # (n_samples, n_channels) float32, full scale = 1; attribute sample_freq in hertz
+AUDIO_BLOCKS = "audio/blocks"  # (n_blocks,) AUDIO_BLOCK
+CAMERA_STREAM = "camera/stream"  # (n_bytes,) uint8: PNG pictures, one after another
+CAMERA_FRAMES = "camera/frames"  # (n_frames,) FRAME
+EMISSIONS = "emissions"  # (n_emissions,) EMISSION
+POSES = "poses"  # (n_poses,) POSE
+LOG = "log"  # (n_lines,) LOG_LINE
+DESCRIPTION = "rig/description"  # (n_bytes,) uint8: the YAML word for word; attribute sha256
+VERSIONS = "rig/versions"  # (n_bytes,) uint8: JSON object of strings: software, firmware, drivers
+STATE = "state"  # (1,) uint8: STATE_OPEN while recording, STATE_CLOSED after a good end
+TRUTH = "truth"  # optional group, see Truth
+CORNERS = "measured/corners"  # optional (n_poses, n_corners, 2) float64 pixels, NaN where not found
+TDOAS = "measured/tdoas"  # optional (n_emissions, n_pairs) float64 seconds, NaN where missing
+TDOA_PAIRS = "measured/pairs"  # (n_pairs, 2) int32 input channels (i, j): arrival at j minus arrival at i
+
+STATE_OPEN = 0
+STATE_CLOSED = 1
+
+# Times named host_time_s are the host's monotonic clock; board_time_s the trigger board's own clock.
+AUDIO_BLOCK = np.dtype(
+    [
+        ("first_sample", "<i8"),  # row of time_data where the block begins
+        ("n_samples", "<i4"),
+        ("host_time_s", "<f8"),  # when the block's first sample was taken, as the host reckons
+        ("adc_time_s", "<f8"),  # the driver's own time of it; NaN where it has none
+        ("flags", "<u4"),  # FLAG_*
+        ("crc32", "<u4"),  # of the block's float32 bytes
+    ]
+)
+FRAME = np.dtype(
+    [
+        ("offset", "<i8"),  # first byte in camera/stream
+        ("length", "<i8"),  # bytes
+        ("host_time_s", "<f8"),
+        ("pose", "<i4"),
+        ("crc32", "<u4"),  # of the PNG's bytes
+    ]
+)
+EMISSION = np.dtype(
+    [
+        ("pose", "<i4"),
+        ("buzzer", "<i4"),  # id as in the rig description
+        ("repeat", "<i4"),
+        ("waveform", "S64"),
+        ("board_time_s", "<f8"),
+        ("host_time_s", "<f8"),
+        ("expected_sample", "<i8"),  # row of time_data where the emission should begin; -1: unknown
+        ("accepted", "u1"),
+    ]
+)
+POSE = np.dtype(
+    [
+        ("pose", "<i4"),
+        ("start_host_time_s", "<f8"),
+        ("end_host_time_s", "<f8"),
+        ("accepted", "u1"),
+    ]
+)
+LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
+
+FLAG_OVERFLOW = 1  # the driver says samples before this block were lost
+FLAG_GAP = 2  # the clock says so
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known to be true, for evaluation only; calibration never starts from it.
+
+    Parameters
+    ----------
+    microphones_m : (n_mics, 3) array
+        Camera frame, in the order of the rig's channels.
+    speed_of_sound_m_s : float or None
+    board_to_camera : (n_poses, 4, 4) array or None
+    buzzers_m : (n_buzzers, 3) array or None
+        Board frame, in the order of the rig description.
+    camera_matrix : (3, 3) array or None
+    distortion : (5,) array or None
+    source : str
+        Where the truth comes from ("simulation", "ruler").
+    """
+
+    microphones_m: NDArray[np.float64]
+    source: str
+    speed_of_sound_m_s: float | None = None
+    board_to_camera: NDArray[np.float64] | None = None
+    buzzers_m: NDArray[np.float64] | None = None
+    camera_matrix: NDArray[np.float64] | None = None
+    distortion: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class MeasuredTdoas:
+    """TDOAs that a session begins with.
+
+    Parameters
+    ----------
+    tdoa_s : (n_emissions, n_pairs) array
+        Arrival at j minus arrival at i in seconds; NaN where missing. Rows as in the emissions table.
+    pairs : (n_pairs, 2) integer array
+        Input channels (i, j) of each column.
+    """
+
+    tdoa_s: NDArray[np.float64]
+    pairs: NDArray[np.int32]
