@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
 from rigs.waveform import Waveform
 
@@ -18,6 +19,7 @@ Channel = Annotated[int, Field(ge=1, le=1024)]
 Length = Annotated[float, Field(gt=0, le=0.5)]
 Coordinate = Annotated[float, Field(ge=-20, le=20)]
 Position = tuple[Coordinate, Coordinate, Coordinate]
+BoardCoordinate = Annotated[float, Field(ge=-2, le=2)]
 RoomSide = Annotated[float, Field(ge=2, le=50)]
 
 
@@ -85,6 +87,17 @@ class Intrinsics(Section):
         return value
 
 
+def _intrinsics_branch(value: object) -> str:
+    return "given" if isinstance(value, Mapping | Intrinsics) else "from session"
+
+
+# The branch is chosen by what stands there, so that an error speaks of that branch only.
+IntrinsicsOrFromSession = Annotated[
+    Annotated[Intrinsics, Tag("given")] | Annotated[Literal["from session"], Tag("from session")],
+    Discriminator(_intrinsics_branch),
+]
+
+
 class Exposure(Section):
     """Exposure, gain and focus, locked so that the intrinsics hold."""
 
@@ -102,7 +115,7 @@ class Camera(Section):
     size_px: tuple[Annotated[int, Field(ge=64, le=16384)], Annotated[int, Field(ge=64, le=16384)]]
     fps: float = Field(30.0, gt=0, le=1000)
     exposure: Exposure = Exposure()
-    intrinsics: Intrinsics | Literal["from session"] = "from session"
+    intrinsics: IntrinsicsOrFromSession = "from session"
 
     @model_validator(mode="after")
     def _source_is_given(self) -> Camera:
@@ -114,15 +127,26 @@ class Camera(Section):
 class Charuco(Section):
     """What a ChArUco board adds to a checkerboard."""
 
-    dictionary: str = Field("DICT_5X5_100", pattern=r"^DICT_[0-9A-Za-z_]+$", description="OpenCV's name of it")
+    dictionary: str = Field("DICT_5X5_100", description="OpenCV's name of it")
     marker_size_m: Length
+
+    @field_validator("dictionary")
+    @classmethod
+    def _dictionary_is_known(cls, value: str) -> str:
+        if not re.fullmatch(
+            r"DICT_(([4-7])X\2_(50|100|250|1000)|ARUCO_ORIGINAL|APRILTAG_(16h5|25h9|36h10|36h11))", value
+        ):
+            raise ValueError(f"OpenCV has no dictionary {value!r}: give one such as DICT_5X5_100")
+        return value
 
 
 class Buzzer(Section):
     """A buzzer: its number at the trigger board and where the sound leaves it, in the board frame."""
 
     id: int = Field(ge=1, le=255, description="the trigger board's number of it, counted from 1")
-    position_m: Position = Field(description="place in the board frame (origin: first inner corner)")
+    position_m: tuple[BoardCoordinate, BoardCoordinate, BoardCoordinate] = Field(
+        description="place in the board frame (origin: first inner corner)"
+    )
 
 
 class Board(Section):

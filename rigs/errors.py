@@ -1,5 +1,8 @@
 """The errors of what a rig is; every message says what is wrong, where, and what to do."""
 
+import os
+import re
+
 
 class RigError(Exception):
     """Base of all errors of the `rigs` package.
@@ -31,3 +34,12 @@ class ImportFormatError(RigError):
     """Published measurements that should be imported are missing or not of the known form."""
 
     exit_code = 5
+
+
+def reason(error: BaseException) -> str:
+    """Return in one short line why the system or a library refused, for use within a message."""
+    if isinstance(error, OSError) and error.errno:
+        return os.strerror(error.errno)
+    if number := re.search(r"errno = (\d+)", str(error)):  # HDF5 says it in its text only
+        return os.strerror(int(number[1]))
+    return " ".join(str(error).split())[:160] or type(error).__name__

@@ -1,0 +1,49 @@
+# make demo: the main job on the simulated rig.   make test: all checks and tests.
+# Both set up everything they need, system packages included.
+
+SEED ?= 0
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.PHONY: help setup demo test lint types imports tests lock clean
+
+help:
+	@echo "make demo [SEED=0]  capture 25 poses on the simulated rig and calibrate them"
+	@echo "make test           linter, type checker, import contracts, tests"
+	@echo "make lock           renew requirements.lock from pyproject.toml"
+	@echo "make clean          remove the environment and everything the demo made"
+
+setup: $(STAMP)
+
+$(STAMP): requirements.lock pyproject.toml
+	python=$$(PYTHON="$(PYTHON)" .ci/python) && "$$python" -m venv .venv
+	$(BIN)/pip install --quiet --require-hashes --requirement requirements.lock
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $(STAMP)
+
+demo: setup
+	@rm -f demo.h5 demo.calib.yaml
+	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
+	$(BIN)/rig-calibrate demo.h5
+
+test: lint types imports tests
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/mypy
+
+imports: setup
+	$(BIN)/lint-imports
+
+tests: setup
+	$(BIN)/pytest --numprocesses=auto --cov --cov-report=term
+
+lock:
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-emit-find-links --no-header \
+	    --extra aislab --group dev --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf .venv .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml

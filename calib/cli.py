@@ -1,0 +1,68 @@
+"""`rig-calibrate`: a session file in, microphone positions out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rigs.command import run
+
+if TYPE_CHECKING:
+    from calib.methods import Method
+
+METHODS = ("joint", "ours-1", "ours-2", "ours-3")
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option(
+    "--method",
+    type=click.Choice(METHODS),
+    default="joint",
+    show_default=True,
+    help="joint: robust, reference-free, needs no first guess. ours-1, -2, -3: the paper's, by Gauss-Newton.",
+)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result file [default: SESSION.calib.yaml].")
+@click.option("--overwrite", is_flag=True, help="Replace the result file if it is there.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of random first guesses.")
+@click.option("--reference", type=int, metavar="CHANNEL", help="Reference microphone of ours-1 [default: the first].")
+@click.option(
+    "--exclude-channel", type=int, multiple=True, metavar="CHANNEL", help="Leave a microphone out (may be repeated)."
+)
+@click.version_option(package_name="acoustic-camera-rig")
+def command(
+    session: Path,
+    method: Method,
+    output: Path | None,
+    overwrite: bool,
+    seed: int,
+    reference: int | None,
+    exclude_channel: tuple[int, ...],
+) -> None:
+    """Find every microphone of SESSION in the camera frame, each with its standard deviation.
+
+    Writes SESSION.calib.yaml beside the session, which itself is never changed. Exit codes: 0 good, 2 usage,
+    5 data not good enough.
+    """
+    from rich.console import Console  # heavy parts are imported only when there is work to do
+
+    from calib.methods import Settings
+    from calib.pipeline import calibrate
+    from calib.result import refuse_existing, write_calibration
+    from calib.screen import show
+    from rigs.session.reader import Session
+
+    target = output or session.with_suffix(".calib.yaml")
+    if not overwrite:
+        refuse_existing(target)
+    with Session.open(session) as opened:
+        result = calibrate(opened, Settings(method, seed, reference, exclude_channel))
+    write_calibration(result, target, overwrite=overwrite)
+    show(result, target, Console())
+
+
+def main() -> int:
+    """Run the command; errors become one line and an exit code."""
+    return run("rig-calibrate", command)

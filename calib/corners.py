@@ -1,0 +1,95 @@
+"""The board's corners in the pictures: found in every frame, averaged over each pose."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import NotEnoughDataError
+from rigs.board import find_corners
+from rigs.session.reader import Session
+
+FloatArray = NDArray[np.float64]
+
+MIN_POSES = 4
+
+
+@dataclass(frozen=True)
+class PoseCorners:
+    """Corners of the poses at which the board was found standing still.
+
+    Parameters
+    ----------
+    pose : (n_poses,) integer array
+        The session's numbers of these poses.
+    corners_px : (n_poses, n_corners, 2) array
+        Mean over the frames of the pose; NaN for hidden corners.
+    warnings : list of str
+        Which poses were left out, and why.
+    """
+
+    pose: NDArray[np.int32]
+    corners_px: FloatArray
+    warnings: list[str] = field(default_factory=list)
+
+    def only(self, chosen: NDArray[np.bool_]) -> PoseCorners:
+        """Return some of the poses (n_poses,)."""
+        return PoseCorners(self.pose[chosen], self.corners_px[chosen])
+
+
+def find_pose_corners(session: Session) -> PoseCorners:
+    """Find the corners of every accepted pose, or take those that the session begins with.
+
+    Raises
+    ------
+    NotEnoughDataError
+        The session has too few poses, or the board was found in too few of them.
+    """
+    accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
+    if len(accepted) < MIN_POSES:
+        raise NotEnoughDataError(
+            f"the session has {len(accepted)} accepted poses, at least {MIN_POSES} are needed: capture more poses"
+        )
+    measured = session.corners_px
+    found = _measured_corners(measured, accepted) if measured is not None else _seen_corners(session, accepted)
+    if len(found.pose) < MIN_POSES:
+        raise NotEnoughDataError(
+            f"the board was found standing still in {len(found.pose)} of {len(accepted)} poses, at least {MIN_POSES} "
+            "are needed: check board.corners and board.pattern in the rig description, light and focus"
+        )
+    return found
+
+
+def _measured_corners(corners_px: FloatArray, accepted: list[int]) -> PoseCorners:
+    return PoseCorners(np.array(accepted, dtype=np.int32), corners_px[accepted])
+
+
+def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
+    board, still_px = session.description.board, session.description.capture.still_px
+    frames = np.flatnonzero(np.isin(session.frames["pose"], accepted))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV lets go of the interpreter lock
+        seen = list(pool.map(lambda picture: find_corners(picture, board), map(session.picture, frames)))
+    poses, corners, warnings = [], [], []
+    for pose in accepted:
+        views = [view for frame, view in zip(frames, seen, strict=True) if session.frames["pose"][frame] == pose
+                 and view is not None]  # fmt: skip
+        if not views:
+            warnings.append(f"pose {pose} left out: the board was not found in its pictures")
+            continue
+        moved_px = _movement_px(np.array(views))
+        if moved_px > still_px:
+            warnings.append(f"pose {pose} left out: the board moved by {moved_px:.2f} px between its pictures")
+            continue
+        poses.append(pose)
+        corners.append(np.mean(views, axis=0))
+    return PoseCorners(np.array(poses, dtype=np.int32), np.array(corners), warnings)
+
+
+def _movement_px(views: FloatArray) -> float:
+    """Return how far the board as a whole moved: the largest distance of a view's mean shift from the first view."""
+    shifts = np.nanmean(views - views[0], axis=1)
+    return float(np.linalg.norm(shifts, axis=1).max())

@@ -1,0 +1,180 @@
+"""The ways to solve: the paper's three by Gauss-Newton, and the joint one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.baseline.gauss_newton import draw_start, gauss_newton
+from calib.camera import View
+from calib.emissions import EmissionTdoas
+from calib.errors import MethodError, NotConvergedError, NotEnoughDataError
+from calib.problem import Estimate, TdoaProblem
+from calib.solve import Solution, SpeedPrior, refine_joint, robust_sigma, solve_joint
+from calib.start import find_start
+from rigs.description import RigDescription
+
+FloatArray = NDArray[np.float64]
+
+Method = Literal["joint", "ours-1", "ours-2", "ours-3"]
+METHODS: tuple[Method, ...] = ("joint", "ours-1", "ours-2", "ours-3")
+
+# Norm of the last step, as published (arXiv 2502.06196 and its authors' code).
+STEP_THRESHOLDS_M = {"ours-1": 1e-3, "ours-2": 1e-4, "ours-3": 1e-3}
+MIN_TDOAS = 12
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user may choose.
+
+    Parameters
+    ----------
+    method : {"joint", "ours-1", "ours-2", "ours-3"}
+    seed : int
+        For first guesses drawn at random.
+    reference_channel : int or None
+        Input channel of the reference microphone of ours-1; None: the first.
+    excluded_channels : tuple of int
+        Input channels to leave out.
+    """
+
+    method: Method = "joint"
+    seed: int = 0
+    reference_channel: int | None = None
+    excluded_channels: tuple[int, ...] = ()
+
+
+def microphone_channels(description: RigDescription, settings: Settings) -> tuple[int, ...]:
+    """Return the input channels of the microphones to be found.
+
+    Raises
+    ------
+    MethodError
+        A channel named by the settings is not one of the rig's, or too few are left.
+    """
+    channels = description.audio.channels
+    reference = settings.reference_channel
+    for channel in (*settings.excluded_channels, *(() if reference is None else (reference,))):
+        if channel not in channels:
+            raise MethodError(
+                f"channel {channel} is not a microphone of this rig: it has {', '.join(map(str, channels))}"
+            )
+    if reference in settings.excluded_channels:
+        raise MethodError(f"channel {reference} cannot be both the reference and left out")
+    left = tuple(channel for channel in channels if channel not in settings.excluded_channels)
+    if len(left) < 2:
+        raise MethodError("fewer than two microphones are left: leave out fewer channels")
+    return left
+
+
+def make_problem(description: RigDescription, view: View, tdoas: EmissionTdoas, settings: Settings) -> TdoaProblem:
+    """Put together the TDOAs that a method uses and the places in the camera frame where the buzzers were.
+
+    Raises
+    ------
+    MethodError
+        The session does not hold the pairs that the method needs.
+    """
+    channels = microphone_channels(description, settings)
+    reference = description.audio.reference_microphone
+    known = () if reference is None else (reference.channel,)
+    columns = _chosen_pairs(tdoas.pairs, channels, known, settings)
+    number = {channel: node for node, channel in enumerate(channels + known)}
+    pose_row = {int(pose): row for row, pose in enumerate(view.pose)}
+    buzzer_m = {buzzer.id: np.array(buzzer.position_m) for buzzer in description.board.buzzers}
+    rows = np.flatnonzero(np.isin(tdoas.pose, view.pose))
+    sources_m = [
+        view.board_to_camera[pose_row[int(tdoas.pose[row])]].apply(buzzer_m[int(tdoas.buzzer[row])]) for row in rows
+    ]
+    return TdoaProblem(
+        sources_m=np.array(sources_m).reshape(-1, 3),
+        pose=tdoas.pose[rows],
+        tdoa_s=tdoas.tdoa_s[np.ix_(rows, columns)],
+        pairs=np.array([[number[int(i)], number[int(j)]] for i, j in tdoas.pairs[columns]], dtype=np.int32),
+        n_mics=len(channels),
+        known_m=np.array([] if reference is None else reference.position_m, dtype=float).reshape(-1, 3),
+    )
+
+
+def check_heard(problem: TdoaProblem, channels: tuple[int, ...]) -> None:
+    """Refuse a problem in which a microphone has hardly any TDOA.
+
+    Raises
+    ------
+    NotEnoughDataError
+        Naming the first such microphone.
+    """
+    for node, channel in enumerate(channels):
+        n_tdoas = int(problem.present[:, (problem.pairs == node).any(axis=1)].sum())
+        if n_tdoas < MIN_TDOAS:
+            raise NotEnoughDataError(
+                f"channel {channel} heard no emission well enough ({n_tdoas} TDOAs): check its cable and gain and "
+                f"capture again, or leave it out with --exclude-channel {channel}"
+            )
+
+
+def solve(problem: TdoaProblem, description: RigDescription, settings: Settings) -> Solution:
+    """Solve by the chosen method.
+
+    Raises
+    ------
+    NotConvergedError, NotEnoughDataError
+    """
+    prior = speed_prior(description)
+    if settings.method == "joint":
+        return solve_joint(problem, find_start(problem, prior, settings.seed), prior)
+    box = description.calibration.start_box_m
+    drawn_m = draw_start(problem.n_mics, np.array(box.low_m), np.array(box.high_m), settings.seed)
+    run = gauss_newton(problem, Estimate(drawn_m, prior.mean_m_s), STEP_THRESHOLDS_M[settings.method])
+    if not run.converged:
+        raise NotConvergedError(
+            f"{settings.method}: Gauss-Newton did not settle within {run.n_iterations} steps from the first guess of "
+            f"seed {settings.seed}: try another --seed, or --method joint, which needs no first guess"
+        )
+    return _least_squares_solution(problem, run.estimate)
+
+
+def refit(problem: TdoaProblem, solution: Solution, used: NDArray[np.bool_], settings: Settings,
+          prior: SpeedPrior) -> Estimate:  # fmt: skip
+    """Solve a slightly different problem again, from a solution and with its choice of TDOAs."""
+    if settings.method == "joint":
+        return refine_joint(problem, solution.estimate, used, solution.robust_sigma_s, prior)
+    return gauss_newton(problem, solution.estimate, STEP_THRESHOLDS_M[settings.method]).estimate
+
+
+def speed_prior(description: RigDescription) -> SpeedPrior:
+    """Return what the rig description says of the speed of sound."""
+    return SpeedPrior(description.medium.speed_m_s(), description.medium.speed_std_m_s())
+
+
+def _chosen_pairs(
+    pairs: NDArray[np.int32], channels: tuple[int, ...], known: tuple[int, ...], settings: Settings
+) -> NDArray[np.intp]:
+    """Return the columns of the pairs that the method uses."""
+    among = np.isin(pairs, channels).all(axis=1)
+    with_known = np.isin(pairs, channels).any(axis=1) & np.isin(pairs, known).any(axis=1)
+    reference = channels[0] if settings.reference_channel is None else settings.reference_channel
+    n_mics = len(channels)
+    chosen, needed = {
+        "joint": (among | with_known, n_mics - 1),
+        "ours-1": (among & (pairs == reference).any(axis=1), n_mics - 1),
+        "ours-2": (among, n_mics * (n_mics - 1) // 2),
+        "ours-3": (with_known, n_mics),
+    }[settings.method]
+    if settings.method == "ours-3" and not known:
+        raise MethodError("ours-3 needs a microphone at a known place: add audio.reference_microphone to the rig")
+    if int(chosen.sum()) < needed:
+        raise MethodError(
+            f"{settings.method} needs {needed} pairs of microphones, the session has {int(chosen.sum())} that fit: "
+            "choose another --method or --reference, or import other measurements"
+        )
+    return np.flatnonzero(chosen)
+
+
+def _least_squares_solution(problem: TdoaProblem, estimate: Estimate) -> Solution:
+    residuals_s = problem.residuals(estimate)
+    return Solution(estimate, residuals_s, problem.present, robust_sigma(residuals_s))

@@ -1,0 +1,118 @@
+"""The whole way from a session to microphone positions, on one screen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import GOOD_RMS_PX, View, look
+from calib.corners import PoseCorners, find_pose_corners
+from calib.emissions import EmissionTdoas, measure_tdoas
+from calib.evaluation import Evaluation, evaluate
+from calib.methods import (
+    Settings,
+    check_heard,
+    make_problem,
+    microphone_channels,
+    refit,
+    solve,
+    speed_prior,
+)
+from calib.problem import TdoaProblem
+from calib.result import Calibration, Residual
+from calib.solve import Solution
+from calib.uncertainty import jackknife_covariance
+from rigs.description import RigDescription
+from rigs.session.reader import Session
+
+FloatArray = NDArray[np.float64]
+
+LARGE_STD_M = 0.005
+
+
+def calibrate(session: Session, settings: Settings) -> Calibration:
+    """Find every microphone of a session in the camera frame.
+
+    Raises
+    ------
+    CalibrationError
+        The method does not fit the session, or the session does not support an answer.
+    """
+    description = session.description
+    channels = microphone_channels(description, settings)
+    corners = find_pose_corners(session)
+    view = look(description.camera, description.board, corners)
+    tdoas = measure_tdoas(session)
+    problem = make_problem(description, view, tdoas, settings)
+    check_heard(problem, channels)
+    solution = solve(problem, description, settings)
+    covariance = _covariance(description, corners, tdoas, problem, solution, settings)
+    n_mics = len(channels)
+    result_covariance_m2 = np.array([covariance[3 * mic : 3 * mic + 3, 3 * mic : 3 * mic + 3] for mic in range(n_mics)])
+    return Calibration(
+        session_name=session.name,
+        session_sha256=session.sha256(),
+        method=settings.method,
+        channels=channels,
+        positions_m=solution.estimate.microphones_m,
+        covariance_m2=result_covariance_m2,
+        speed_of_sound_m_s=solution.estimate.speed_of_sound_m_s,
+        speed_of_sound_std_m_s=float(np.sqrt(covariance[-1, -1])),
+        view=view,
+        residual=_residual(solution),
+        evaluation=_evaluation(session, channels, solution),
+        warnings=[*corners.warnings, *tdoas.warnings, *_doubts(view, result_covariance_m2, channels)],
+    )
+
+
+def _covariance(
+    description: RigDescription,
+    corners: PoseCorners,
+    tdoas: EmissionTdoas,
+    problem: TdoaProblem,
+    solution: Solution,
+    settings: Settings,
+) -> FloatArray:
+    """Jackknife the chain behind the corners and TDOAs: camera, poses, solve; unknowns as in `Estimate.moved`."""
+
+    def solve_without(left_out: NDArray[np.int32]) -> FloatArray:
+        kept = corners.only(~np.isin(corners.pose, left_out))
+        view = look(description.camera, description.board, kept)
+        part = make_problem(description, view, tdoas, settings)
+        used = solution.used[np.isin(problem.pose, view.pose)]
+        estimate = refit(part, solution, used, settings, speed_prior(description))
+        return np.append(estimate.microphones_m.ravel(), estimate.speed_of_sound_m_s)
+
+    return jackknife_covariance(corners.pose, solve_without)
+
+
+def _residual(solution: Solution) -> Residual:
+    n_present = int(np.isfinite(solution.residuals_s).sum())
+    n_used = int(solution.used.sum())
+    return Residual(solution.robust_sigma_s, solution.rms_s, n_used, n_present - n_used)
+
+
+def _evaluation(session: Session, channels: tuple[int, ...], solution: Solution) -> Evaluation | None:
+    truth = session.truth
+    if truth is None:
+        return None
+    columns = [session.description.audio.channels.index(channel) for channel in channels]
+    return evaluate(solution.estimate.microphones_m, truth.microphones_m[columns], truth.source)
+
+
+def _doubts(view: View, covariance_m2: FloatArray, channels: tuple[int, ...]) -> list[str]:
+    """Say in words what makes the answer weak."""
+    doubts = []
+    if view.rms_px > GOOD_RMS_PX:
+        doubts.append(
+            f"corners fit the camera to {view.rms_px:.2f} px only (good: under {GOOD_RMS_PX}): check focus, that the "
+            "board is flat, and camera.intrinsics"
+        )
+    std_m = np.sqrt(np.linalg.eigvalsh(covariance_m2)[:, -1])
+    worst = int(np.argmax(std_m))
+    if std_m[worst] > LARGE_STD_M:
+        doubts.append(
+            f"channel {channels[worst]} is uncertain by {1e3 * std_m[worst]:.1f} mm in its weakest direction: capture "
+            "more poses, tilted both ways and at several distances"
+        )
+    return doubts

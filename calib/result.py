@@ -1,0 +1,165 @@
+"""The result of a calibration, and the YAML file it leaves."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from calib.camera import View
+from calib.evaluation import Evaluation
+from rigs import __version__
+from rigs.errors import TargetExistsError
+from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "acoustic-rig-calibration"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How well TDOAs fit: robust standard deviation of all, root mean square of those used, and how many."""
+
+    robust_sigma_s: float
+    rms_s: float
+    n_used: int
+    n_rejected: int
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Microphones in the camera frame.
+
+    Parameters
+    ----------
+    session_name, session_sha256 : str
+        What it was made from.
+    method : str
+    channels : tuple of int
+        Input channel of each microphone.
+    positions_m : (n_mics, 3) array
+        Camera frame.
+    covariance_m2 : (n_mics, 3, 3) array
+    speed_of_sound_m_s, speed_of_sound_std_m_s : float
+        The standard deviation is 0 where the method holds the speed.
+    view : View
+        Camera and board poses.
+    residual : Residual
+    evaluation : Evaluation or None
+    warnings : list of str
+    """
+
+    session_name: str
+    session_sha256: str
+    method: str
+    channels: tuple[int, ...]
+    positions_m: FloatArray
+    covariance_m2: FloatArray
+    speed_of_sound_m_s: float
+    speed_of_sound_std_m_s: float
+    view: View
+    residual: Residual
+    evaluation: Evaluation | None
+    warnings: list[str]
+
+    @property
+    def std_m(self) -> FloatArray:
+        """Standard deviations (n_mics, 3) of the positions."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2)))
+
+
+def as_document(result: Calibration) -> dict[str, Any]:
+    """Return the result as plain values, as they stand in the YAML file."""
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "frame": CAMERA_FRAME,
+        "tdoa_sign": TDOA_SIGN,
+        "method": result.method,
+        "software": f"acoustic-camera-rig {__version__}",
+        "speed_of_sound_m_s": _rounded(result.speed_of_sound_m_s, 4),
+        "speed_of_sound_std_m_s": _rounded(result.speed_of_sound_std_m_s, 4),
+        "microphones": [
+            {
+                "channel": int(channel),
+                "position_m": _rounded(position, 7),
+                "std_m": _rounded(std, 7),
+                "covariance_m2": [[float(f"{value:.6g}") for value in row] for row in covariance],
+            }
+            for channel, position, std, covariance in zip(
+                result.channels, result.positions_m, result.std_m, result.covariance_m2, strict=True
+            )
+        ],
+        "residual": {
+            "robust_sigma_s": float(f"{result.residual.robust_sigma_s:.6g}"),
+            "rms_s": float(f"{result.residual.rms_s:.6g}"),
+            "n_used": result.residual.n_used,
+            "n_rejected": result.residual.n_rejected,
+        },
+        "camera": {
+            "source": result.view.source,
+            "focal_px": _rounded(result.view.intrinsics.focal_px, 4),
+            "principal_px": _rounded(result.view.intrinsics.principal_px, 4),
+            "distortion": _rounded(result.view.intrinsics.distortion, 8),
+            "corner_rms_px": _rounded(result.view.rms_px, 4),
+            "n_poses": len(result.view.board_to_camera),
+        },
+        "warnings": list(result.warnings),
+        "session": {"name": result.session_name, "sha256": result.session_sha256},
+    }
+    if result.evaluation is not None:
+        document["evaluation"] = asdict(result.evaluation)
+    return document
+
+
+def write_calibration(result: Calibration, path: Path, *, overwrite: bool = False) -> None:
+    """Write the YAML file, whole or not at all.
+
+    Raises
+    ------
+    TargetExistsError
+        The file is there and `overwrite` was not asked for.
+    OSError
+        The folder cannot be written to.
+    """
+    text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(temporary).chmod(0o644)
+        _put_in_place(Path(temporary), path, overwrite=overwrite)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise TargetExistsError where a file that would be written is already there."""
+    if path.exists():
+        raise TargetExistsError(
+            f"{path}: already there, and nothing is written over: add --overwrite, or name another --output"
+        )
+
+
+def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
+    if overwrite:
+        temporary.replace(path)
+        return
+    try:
+        path.hardlink_to(temporary)  # fails where the name is taken, even by a racing run
+    except FileExistsError:
+        refuse_existing(path)
+
+
+def _rounded(values: Any, digits: int) -> Any:
+    if np.ndim(values) == 0:
+        return round(float(values), digits)
+    return [round(float(value), digits) for value in values]

@@ -1,0 +1,90 @@
+"""What `rig-calibrate` shows in the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from calib.evaluation import Evaluation
+from calib.result import Calibration
+
+
+def show(result: Calibration, path: Path, console: Console) -> None:
+    """Print the microphones, how well they fit, and what to doubt."""
+    console.print(_microphone_table(result))
+    console.print(_fit_table(result))
+    if result.evaluation is not None:
+        console.print(_evaluation_table(result.evaluation))
+    for warning in result.warnings:
+        console.print(Text.assemble(("! ", "bold yellow"), warning))
+    console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
+
+
+def _microphone_table(result: Calibration) -> Table:
+    table = Table(
+        title="Microphones in the camera frame (x right, y down, z forward; millimetres)",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+    )
+    table.add_column("channel", justify="right")
+    for axis in "xyz":
+        table.add_column(axis, justify="right")
+        table.add_column(f"std {axis}", justify="right", style="cyan")
+    table.add_column("std", justify="right", style="bold cyan")
+    for channel, position_m, std_m in zip(result.channels, result.positions_m, result.std_m, strict=True):
+        cells = [str(channel)]
+        for value, std in zip(position_m, std_m, strict=True):
+            cells += [f"{1e3 * value:+.2f}", f"{1e3 * std:.2f}"]
+        table.add_row(*cells, f"{1e3 * float(np.linalg.norm(std_m)):.2f}")
+    return table
+
+
+def _fit_table(result: Calibration) -> Table:
+    residual, view = result.residual, result.view
+    speed = f"{result.speed_of_sound_m_s:.2f} m/s"
+    held = result.speed_of_sound_std_m_s == 0
+    speed += " (held)" if held else f" +- {result.speed_of_sound_std_m_s:.2f}"
+    total = residual.n_used + residual.n_rejected
+    focal = ", ".join(f"{value:.1f}" for value in view.intrinsics.focal_px)
+    return _pairs_table(
+        [
+            ("method", result.method),
+            (
+                "TDOA residual",
+                f"{1e6 * residual.robust_sigma_s:.2f} us robust sigma, {1e6 * residual.rms_s:.2f} us rms",
+            ),
+            ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected"),
+            ("speed of sound", speed),
+            ("camera", f"focal length {focal} px, from the {view.source}"),
+            ("board", f"{len(view.board_to_camera)} poses, corners fit to {view.rms_px:.3f} px rms"),
+        ]
+    )
+
+
+def _evaluation_table(evaluation: Evaluation) -> Table:
+    rows = [
+        ("truth", evaluation.truth),
+        ("RMSE, all microphones", f"{1e3 * evaluation.rmse_m:.2f} mm in the camera frame"),
+        ("after rigid alignment", f"{1e3 * evaluation.rmse_aligned_m:.2f} mm"),
+        ("distances", f"{1e3 * evaluation.distance_rmse_m:.2f} mm between microphones"),
+    ]
+    if evaluation.paper_rmse_m is not None:
+        rows.append(("paper's figure", f"{1e3 * evaluation.paper_rmse_m:.2f} mm (microphones 1 to 7 summed, over 8)"))
+    table = _pairs_table(rows)
+    table.title, table.title_justify = "Against the truth in the session", "left"
+    return table
+
+
+def _pairs_table(rows: list[tuple[str, str]]) -> Table:
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 1))
+    table.add_column(style="dim")
+    table.add_column()
+    for name, value in rows:
+        table.add_row(name, value)
+    return table

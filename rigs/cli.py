@@ -1,0 +1,38 @@
+"""The command line `rig-session`: look into session files."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from rigs.command import run
+from rigs.session.aislab_command import import_group
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="acoustic-camera-rig")
+def cli() -> None:
+    """Look into session files, and make them from published measurements."""
+
+
+@cli.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--verify", is_flag=True, help="Read everything and compare the checksums.")
+def info(file: Path, verify: bool) -> int:
+    """Tell what the session FILE holds.
+
+    Exit code: 0 good, 2 wrong usage, 5 a bad file or (with --verify) damaged content.
+    """
+    from rigs.session.info import show  # noqa: PLC0415 - HDF5 and OpenCV would slow down --help
+
+    return show(file, verify=verify)
+
+
+cli.add_command(import_group)
+
+
+def main() -> None:
+    """Run `rig-session`."""
+    sys.exit(run("rig-session", cli))

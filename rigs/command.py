@@ -1,0 +1,77 @@
+"""A command: how every command line of the project ends, with a good exit code and never with a traceback."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from rigs.errors import reason
+
+INTERRUPTED = 130
+_CONFIGURATION = 2
+_FAULT = 1
+_REMEDIES = {
+    errno.ENOSPC: "free some space or choose another disk",
+    errno.EDQUOT: "free some space or choose another disk",
+    errno.EACCES: "check the permissions or choose another folder",
+    errno.EPERM: "check the permissions or choose another folder",
+    errno.EROFS: "choose another folder",
+    errno.ENOENT: "check the name",
+}
+
+
+def run(name: str, command: click.Command, arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code, having told what went wrong in one line on stderr.
+
+    Parameters
+    ----------
+    name : str
+        Of the command line, such as "rig-session"; begins the line.
+    command : click.Command
+        Returns an exit code, or None for 0.
+    arguments : sequence of str, optional
+        Default: those of this process.
+
+    Returns
+    -------
+    int
+        The `exit_code` of the project's own errors, 2 for wrong usage and what the system refuses, 130 when
+        interrupted, 1 for a fault in this software (its traceback is shown when RIG_TRACEBACK is set).
+    """
+    try:
+        outcome = command.main(args=arguments, prog_name=name, standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return _tell(name, "interrupted", INTERRUPTED)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 0
+    except Exception as error:  # the last resort: no traceback reaches a user
+        if os.environ.get("RIG_TRACEBACK"):
+            raise
+        return _tell(name, *_explained(error))
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _explained(error: Exception) -> tuple[str, int]:
+    exit_code = getattr(error, "exit_code", None)
+    if isinstance(exit_code, int):
+        return str(error), exit_code
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        remedy = _REMEDIES.get(error.errno or 0)
+        return f"{where}{reason(error)}{': ' + remedy if remedy else ''}", _CONFIGURATION
+    return (
+        f"a fault in this software: {type(error).__name__}: {reason(error)}; set RIG_TRACEBACK=1 to see where",
+        _FAULT,
+    )
+
+
+def _tell(name: str, message: str, exit_code: int) -> int:
+    print(f"{name}: {message}", file=sys.stderr)  # noqa: T201 - this is the command line
+    return exit_code
