@@ -71,7 +71,7 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
     heard = np.zeros((len(emissions), session.n_channels), dtype=bool)
     n_flawed = 0
     for row, emission in enumerate(emissions):
-        window = session.audio(int(emission["expected_sample"]) - round(SEARCH_BEFORE_S * rate_hz), n_samples)
+        window = _window(session, int(emission["expected_sample"]) - round(SEARCH_BEFORE_S * rate_hz), n_samples)
         flawed = ~np.isfinite(window).all(axis=0)
         n_flawed += int(flawed.any())
         tdoa_s[row], heard[row] = _tdoas_of(np.where(flawed, np.float32(0), window), compressor, columns)
@@ -81,6 +81,15 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
     if waveform.kind == "tone":
         warnings.append("a steady tone leaves TDOAs ambiguous by whole periods: use signal kind sweep or mls")
     return tdoa_s, np.array(session.channels, dtype=np.int32)[columns], warnings
+
+
+def _window(session: Session, first_sample: int, n_samples: int) -> NDArray[np.float32]:
+    """Return samples (n_samples, n_channels), silent where the session holds none."""
+    begin, end = max(first_sample, 0), min(first_sample + n_samples, session.n_samples)
+    window = np.zeros((n_samples, session.n_channels), dtype=np.float32)
+    if begin < end:
+        window[begin - first_sample : end - first_sample] = session.audio(begin, end - begin)
+    return window
 
 
 def _tdoas_of(

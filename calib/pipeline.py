@@ -20,7 +20,7 @@ from calib.methods import (
 )
 from calib.problem import TdoaProblem
 from calib.result import Calibration, Residual
-from calib.solve import Solution
+from calib.solve import Solution, SpeedPrior
 from calib.uncertainty import jackknife_covariance
 from rigs.description import RigDescription
 from rigs.session.reader import Session
@@ -28,6 +28,7 @@ from rigs.session.reader import Session
 FloatArray = NDArray[np.float64]
 
 LARGE_STD_M = 0.005
+DOUBTFUL_SIGMAS = 2.0
 
 
 def calibrate(session: Session, settings: Settings) -> Calibration:
@@ -61,7 +62,12 @@ def calibrate(session: Session, settings: Settings) -> Calibration:
         view=view,
         residual=_residual(solution),
         evaluation=_evaluation(session, channels, solution),
-        warnings=[*corners.warnings, *tdoas.warnings, *_doubts(view, result_covariance_m2, channels)],
+        warnings=[
+            *corners.warnings,
+            *tdoas.warnings,
+            *_doubts(view, result_covariance_m2, channels),
+            *_speed_doubts(solution.estimate.speed_of_sound_m_s, speed_prior(description)),
+        ],
     )
 
 
@@ -116,3 +122,16 @@ def _doubts(view: View, covariance_m2: FloatArray, channels: tuple[int, ...]) ->
             "more poses, tilted both ways and at several distances"
         )
     return doubts
+
+
+def _speed_doubts(speed_m_s: float, prior: SpeedPrior) -> list[str]:
+    """Say when sound and pictures do not agree on the scale of the world."""
+    deviation = (speed_m_s - prior.mean_m_s) / prior.std_m_s
+    if abs(deviation) < DOUBTFUL_SIGMAS:
+        return []
+    doubt = (
+        f"the speed of sound came out at {speed_m_s:.1f} m/s, {abs(deviation):.1f} standard deviations from the rig's "
+        f"{prior.mean_m_s:.1f} m/s: check medium in the rig description, board.square_size_m, and that the board was "
+        "printed to scale"
+    )
+    return [doubt]

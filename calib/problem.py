@@ -1,7 +1,7 @@
 """The estimation problem: unknowns, residuals of the TDOAs, and their normal equations.
 
 One emission e at a known place s_e gives each microphone n the time of flight tau_en = |x_n - s_e| / c. A TDOA of the
-pair (i, j) measures tau_ej - tau_ei. Let a_p be the incidence row of a pair (-1 at i, +1 at j) and w_ep its weight: then
+pair (i, j) measures tau_ej - tau_ei. Let a_p be the incidence row of a pair (-1 at i, +1 at j), w_ep its weight: then
 the weighted sum of squares of an emission is a quadratic form in tau with the Laplacian sum_p w_ep a_p a_p'. So any
 choice of pairs (one reference, all pairs, a known extra microphone, pairs missing) is the same code, and no microphone
 is special. Source of the residual: arXiv 2502.06196, section III.

@@ -22,13 +22,13 @@ def show(result: Calibration, path: Path, console: Console) -> None:
     if result.evaluation is not None:
         console.print(_evaluation_table(result.evaluation))
     for warning in result.warnings:
-        console.print(Text.assemble(("! ", "bold yellow"), warning))
+        console.print(_warning(warning))
     console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
 
 
 def _microphone_table(result: Calibration) -> Table:
     table = Table(
-        title="Microphones in the camera frame (x right, y down, z forward; millimetres)",
+        title="Microphones, camera frame (x right, y down, z forward), mm",
         title_justify="left",
         box=box.SIMPLE_HEAD,
     )
@@ -79,6 +79,12 @@ def _evaluation_table(evaluation: Evaluation) -> Table:
     table = _pairs_table(rows)
     table.title, table.title_justify = "Against the truth in the session", "left"
     return table
+
+
+def _warning(text: str) -> Table:
+    line = Table.grid(padding=(0, 1))
+    line.add_row(Text("!", style="bold yellow"), Text(text))
+    return line
 
 
 def _pairs_table(rows: list[tuple[str, str]]) -> Table:

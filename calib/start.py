@@ -103,9 +103,8 @@ def _linear_solution(sources_m: FloatArray, ranges_m: FloatArray) -> tuple[Float
         coefficients[:, mic, 4 * mic + 3] = 1.0
     emission = np.arange(n_emissions)
     coefficients[emission, :, 4 * (n_mics - 1) + emission] = -2 * ranges_m[:, 1:]
-    solution: FloatArray = np.linalg.lstsq(
-        coefficients.reshape(-1, coefficients.shape[2]), (ranges_m[:, 1:] ** 2).ravel(), rcond=None
-    )[0]
+    rows = coefficients.reshape(-1, coefficients.shape[2])
+    solution = np.asarray(np.linalg.lstsq(rows, (ranges_m[:, 1:] ** 2).ravel(), rcond=None)[0], dtype=float)
     return solution[: 4 * (n_mics - 1)].reshape(-1, 4)[:, :3], np.abs(solution[4 * (n_mics - 1) :])
 
 

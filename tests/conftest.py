@@ -8,11 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from calib.problem import Estimate, TdoaProblem
-from rigs.description import RigDescription
+from rigs.board import board_corners_m, project
+from rigs.description import Intrinsics, RigDescription
 from rigs.geometry import Pose
 from rigs.library import find_description
+from rigs.session.layout import MeasuredTdoas, Truth
+from rigs.session.writer import SessionWriter
 
 SPEED_M_S = 343.0
 MICROPHONES_M = np.array(
@@ -27,7 +31,7 @@ MICROPHONES_M = np.array(
         (0.22, 0.19, 0.17),
     ]
 )
-BUZZERS_M = np.array([(x, y, -0.005) for x in (-0.045, 0.1, 0.245) for y in (-0.045, 0.17)])
+BUZZERS_M = np.array([buzzer.position_m for buzzer in find_description("simulated").description.board.buzzers])
 AISLAB = Path(__file__).parents[2] / "shared" / "data" / "aislab"
 
 
@@ -85,3 +89,53 @@ def aislab_folder() -> Path:
 def simulated_description() -> RigDescription:
     """Return the rig that ships as `simulated`."""
     return find_description("simulated").description
+
+
+def write_measured_session(
+    path: Path,
+    description: RigDescription,
+    *,
+    n_poses: int = 12,
+    tdoa_s: np.ndarray | None = None,
+    pairs: list[tuple[int, int]] | None = None,
+    corners_px: np.ndarray | None = None,
+    accepted: int | None = None,
+) -> Path:
+    """Write a session that starts at measured corners and TDOAs (0.05 px, 1 us); the first `accepted` poses count."""
+    world = make_world(n_poses=n_poses, noise_s=1e-6, pairs=pairs)
+    intrinsics = Intrinsics(focal_px=(940.0, 940.0), principal_px=(640.0, 360.0))
+    described = description.model_copy(
+        update={"camera": description.camera.model_copy(update={"intrinsics": intrinsics})}
+    )
+    if corners_px is None:
+        points_m = board_corners_m(description.board)
+        corners_px = np.array([project(points_m, pose, intrinsics) for pose in world.poses])
+        corners_px += np.random.default_rng(1).normal(scale=0.05, size=corners_px.shape)
+    channels = np.array(description.audio.channels, dtype=np.int32)
+    tdoas = MeasuredTdoas(world.problem.tdoa_s if tdoa_s is None else tdoa_s, channels[world.problem.pairs])
+    with SessionWriter.create(
+        path,
+        name=path.stem,
+        description_text=yaml.safe_dump(described.model_dump(mode="json", exclude_none=True)),
+        n_channels=len(channels),
+        sample_rate_hz=48000.0,
+        versions={"software": "tests"},
+        truth=Truth(MICROPHONES_M, "simulation", speed_of_sound_m_s=SPEED_M_S),
+        corners_px=corners_px,
+        tdoas=tdoas,
+    ) as writer:
+        for pose in range(n_poses):
+            counts = accepted is None or pose < accepted
+            writer.append_pose(pose=pose, start_host_time_s=np.nan, end_host_time_s=np.nan, accepted=counts)
+            for buzzer in description.board.buzzers:
+                writer.append_emission(
+                    pose=pose,
+                    buzzer=buzzer.id,
+                    repeat=0,
+                    waveform="sweep",
+                    board_time_s=np.nan,
+                    host_time_s=np.nan,
+                    expected_sample=-1,
+                    accepted=True,
+                )
+    return path
