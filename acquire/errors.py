@@ -21,3 +21,9 @@ class CaptureQualityError(CaptureError):
     """What was recorded is not good enough for a calibration."""
 
     exit_code = 5
+
+
+class InterruptedCaptureError(CaptureError):
+    """Somebody ended the capture (Ctrl-C, SIGTERM); the session is saved."""
+
+    exit_code = 130

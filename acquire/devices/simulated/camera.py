@@ -1,0 +1,67 @@
+"""The simulated camera."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.devices.base import Frame
+from acquire.devices.simulated.draws import draws
+from acquire.devices.simulated.picture import Painter
+from acquire.devices.simulated.stage import Stage
+from acquire.errors import DeviceError
+from rigs.geometry import Pose
+
+_STAMP_JITTER_S = 0.001
+
+
+class SimulatedCamera:
+    """Takes pictures of a stage at its frame rate, each with noise of its own."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._painter = Painter(stage.scene)
+        self._fps = stage.scene.description.camera.fps
+        self._noise = stage.scene.description.simulation.image_noise
+        self._start_s: float | None = None
+        self._painted: tuple[Pose, NDArray[np.float32]] | None = None
+
+    def open(self) -> str:
+        """Start the camera and return the driver's name and version."""
+        self._start_s = self._stage.clock.now_s()
+        return "simulated-camera 1.0"
+
+    def read(self) -> Frame:
+        """Let virtual time pass until the next frame and return it, gray (height, width).
+
+        Raises
+        ------
+        DeviceError
+            The camera is not open, or lost.
+        """
+        if self._stage.faults("camera_lost"):
+            raise DeviceError("camera: the simulated camera is gone; check its cable and start again")
+        if self._start_s is None:
+            raise DeviceError("camera: the simulated camera is not open; open it first")
+        clock = self._stage.clock
+        number = int(np.floor((clock.now_s() - self._start_s) * self._fps + 1e-6)) + 1
+        taken_s = self._start_s + number / self._fps
+        clock.sleep_s(taken_s - clock.now_s())
+        rng = draws(self._stage.scene.seed, "frame", number)
+        clean = self._clean(taken_s)
+        noisy = clean + self._noise * rng.standard_normal(clean.shape, dtype=np.float32)
+        image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        return Frame(image, taken_s + _STAMP_JITTER_S * abs(float(rng.standard_normal())))
+
+    def close(self) -> None:
+        """Stop the camera; safe to call twice."""
+        self._start_s = None
+
+    def _clean(self, time_s: float) -> NDArray[np.float32]:
+        """Paint the picture, or take the last one while the board stands still."""
+        moving, pose = self._stage.is_moving(time_s), self._stage.board_to_camera(time_s)
+        if moving:
+            return self._painter.picture(pose, moving=True)
+        if self._painted is None or self._painted[0] is not pose:
+            self._painted = (pose, self._painter.picture(pose, moving=False))
+        return self._painted[1]
