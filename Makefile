@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help setup demo test lint types imports tests lock clean
+.PHONY: help setup demo figures test lint types imports tests lock clean
 
 help:
 	@echo "make demo [SEED=0]  capture 25 poses on the simulated rig and calibrate them"
@@ -25,6 +25,10 @@ demo: setup
 	@rm -f demo.h5 demo.calib.yaml
 	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
 	$(BIN)/rig-calibrate demo.h5
+
+# the README's picture, from the demo's files
+figures: setup
+	$(BIN)/python docs/figures/make.py
 
 test: lint types imports tests
 

@@ -143,7 +143,8 @@ def refit(problem: TdoaProblem, solution: Solution, used: NDArray[np.bool_], set
     """Solve a slightly different problem again, from a solution and with its choice of TDOAs."""
     if settings.method == "joint":
         return refine_joint(problem, solution.estimate, used, solution.robust_sigma_s, prior)
-    return gauss_newton(problem, solution.estimate, STEP_THRESHOLDS_M[settings.method]).estimate
+    start = Estimate(solution.estimate.microphones_m, prior.mean_m_s)
+    return gauss_newton(problem, start, STEP_THRESHOLDS_M[settings.method]).estimate
 
 
 def speed_prior(description: RigDescription) -> SpeedPrior:

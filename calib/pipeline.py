@@ -5,24 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.camera import GOOD_RMS_PX, View, look
-from calib.corners import PoseCorners, find_pose_corners
-from calib.emissions import EmissionTdoas, measure_tdoas
+from calib.camera import GOOD_RMS_PX, View
+from calib.corners import find_pose_corners
+from calib.emissions import measure_tdoas
 from calib.evaluation import Evaluation, evaluate
-from calib.methods import (
-    Settings,
-    check_heard,
-    make_problem,
-    microphone_channels,
-    refit,
-    solve,
-    speed_prior,
-)
-from calib.problem import TdoaProblem
+from calib.measurements import Measurements
+from calib.methods import Settings, check_heard, microphone_channels, solve, speed_prior
 from calib.result import Calibration, Residual
 from calib.solve import Solution, SpeedPrior
-from calib.uncertainty import jackknife_covariance
-from rigs.description import RigDescription
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
@@ -41,55 +31,30 @@ def calibrate(session: Session, settings: Settings) -> Calibration:
     """
     description = session.description
     channels = microphone_channels(description, settings)
-    corners = find_pose_corners(session)
-    view = look(description.camera, description.board, corners)
-    tdoas = measure_tdoas(session)
-    problem = make_problem(description, view, tdoas, settings)
-    check_heard(problem, channels)
-    solution = solve(problem, description, settings)
-    covariance = _covariance(description, corners, tdoas, problem, solution, settings)
-    n_mics = len(channels)
-    result_covariance_m2 = np.array([covariance[3 * mic : 3 * mic + 3, 3 * mic : 3 * mic + 3] for mic in range(n_mics)])
+    measured = Measurements(description, find_pose_corners(session), measure_tdoas(session), settings)
+    check_heard(measured.problem, channels)
+    solution = solve(measured.problem, description, settings)
+    covariance = measured.covariance(solution)
+    covariance_m2 = np.array([covariance[mic : mic + 3, mic : mic + 3] for mic in range(0, 3 * len(channels), 3)])
     return Calibration(
         session_name=session.name,
         session_sha256=session.sha256(),
         method=settings.method,
         channels=channels,
         positions_m=solution.estimate.microphones_m,
-        covariance_m2=result_covariance_m2,
+        covariance_m2=covariance_m2,
         speed_of_sound_m_s=solution.estimate.speed_of_sound_m_s,
         speed_of_sound_std_m_s=float(np.sqrt(covariance[-1, -1])),
-        view=view,
+        view=measured.view,
         residual=_residual(solution),
         evaluation=_evaluation(session, channels, solution),
         warnings=[
-            *corners.warnings,
-            *tdoas.warnings,
-            *_doubts(view, result_covariance_m2, channels),
+            *measured.corners.warnings,
+            *measured.tdoas.warnings,
+            *_doubts(measured.view, covariance_m2, channels),
             *_speed_doubts(solution.estimate.speed_of_sound_m_s, speed_prior(description)),
         ],
     )
-
-
-def _covariance(
-    description: RigDescription,
-    corners: PoseCorners,
-    tdoas: EmissionTdoas,
-    problem: TdoaProblem,
-    solution: Solution,
-    settings: Settings,
-) -> FloatArray:
-    """Jackknife the chain behind the corners and TDOAs: camera, poses, solve; unknowns as in `Estimate.moved`."""
-
-    def solve_without(left_out: NDArray[np.int32]) -> FloatArray:
-        kept = corners.only(~np.isin(corners.pose, left_out))
-        view = look(description.camera, description.board, kept)
-        part = make_problem(description, view, tdoas, settings)
-        used = solution.used[np.isin(problem.pose, view.pose)]
-        estimate = refit(part, solution, used, settings, speed_prior(description))
-        return np.append(estimate.microphones_m.ravel(), estimate.speed_of_sound_m_s)
-
-    return jackknife_covariance(corners.pose, solve_without)
 
 
 def _residual(solution: Solution) -> Residual:

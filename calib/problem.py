@@ -33,6 +33,10 @@ class Estimate:
     microphones_m: FloatArray
     speed_of_sound_m_s: float
 
+    def vector(self) -> FloatArray:
+        """Return the unknowns (3 n_mics + 1,): microphones in metres, then the speed of sound in m/s."""
+        return np.append(self.microphones_m.ravel(), self.speed_of_sound_m_s)
+
     def moved(self, step: FloatArray) -> Estimate:
         """Return the estimate after a step (3 n_mics + 1,): microphones in metres, speed of sound in m/s."""
         return Estimate(

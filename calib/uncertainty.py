@@ -2,8 +2,10 @@
 
 Everything that a pose brings (its corners, its sound, its share in the camera's intrinsics) is left out at once and the
 whole chain is solved again, so the spread of the answers contains every error that differs from pose to pose, whatever
-its law. It cannot see what all poses share: a board printed to the wrong scale, a buzzer listed in the wrong place.
-Source: B. Efron and C. Stein, Ann. Statist. 9 (1981) 586, doi:10.1214/aos/1176345462.
+its law. Source: B. Efron and C. Stein, Ann. Statist. 9 (1981) 586, doi:10.1214/aos/1176345462.
+
+It cannot see what all poses share. Two such errors are known in size: those of the buzzers' places on the board and of
+the speed of sound. Their share is found by moving each by its standard deviation and solving again.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rigs.description import Board, Medium, RigDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -40,3 +44,36 @@ def jackknife_covariance(
     deviations = answers - answers.mean(axis=0)
     n_groups = len(answers)
     return np.asarray((n_groups - 1) / n_groups * deviations.T @ deviations)
+
+
+def shift_covariance(estimate: FloatArray, shifted: list[FloatArray]) -> FloatArray:
+    """Return the share (n_unknowns, n_unknowns) of values that the rig description gives.
+
+    Parameters
+    ----------
+    estimate : (n_unknowns,) array
+    shifted : list of (n_unknowns,) arrays
+        The estimate with each of the given values moved by its standard deviation, one at a time.
+    """
+    shifts = np.array(shifted) - estimate
+    return np.asarray(shifts.T @ shifts)
+
+
+def descriptions_off_by_one_std(description: RigDescription) -> list[RigDescription]:
+    """Return the rig descriptions in which one uncertain value is moved by its standard deviation."""
+    board, medium = description.board, description.medium
+    boards = [_with_moved_buzzer(board, number, axis) for number in range(len(board.buzzers)) for axis in range(3)]
+    faster = Medium(
+        speed_of_sound_m_s=medium.speed_m_s() + medium.speed_std_m_s(), speed_of_sound_std_m_s=medium.speed_std_m_s()
+    )
+    return [
+        *(description.model_copy(update={"board": moved}) for moved in boards),
+        description.model_copy(update={"medium": faster}),
+    ]
+
+
+def _with_moved_buzzer(board: Board, number: int, axis: int) -> Board:
+    position_m = list(board.buzzers[number].position_m)
+    position_m[axis] += board.buzzer_std_m
+    moved = board.buzzers[number].model_copy(update={"position_m": tuple(position_m)})
+    return board.model_copy(update={"buzzers": (*board.buzzers[:number], moved, *board.buzzers[number + 1 :])})

@@ -25,7 +25,7 @@ def info(file: Path, verify: bool) -> int:
 
     Exit code: 0 good, 2 wrong usage, 5 a bad file or (with --verify) damaged content.
     """
-    from rigs.session.info import show  # noqa: PLC0415 - HDF5 and OpenCV would slow down --help
+    from rigs.session.info import show
 
     return show(file, verify=verify)
 

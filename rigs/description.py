@@ -159,6 +159,9 @@ class Board(Section):
     square_size_m: Length = Field(description="side of a square in metres, measured on the printed board")
     charuco: Charuco | None = None
     buzzers: tuple[Buzzer, ...] = Field(min_length=1, max_length=255)
+    buzzer_std_m: float = Field(
+        0.0003, ge=0, le=0.05, description="how well the buzzers' places are known: standard deviation per axis"
+    )
 
     @model_validator(mode="after")
     def _board_is_possible(self) -> Board:

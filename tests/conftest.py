@@ -58,12 +58,19 @@ def board_poses(n_poses: int, seed: int) -> list[Pose]:
 
 
 def make_world(
-    *, n_poses: int = 25, noise_s: float = 0.0, seed: int = 0, pairs: list[tuple[int, int]] | None = None
+    *,
+    n_poses: int = 25,
+    noise_s: float = 0.0,
+    seed: int = 0,
+    pairs: list[tuple[int, int]] | None = None,
+    buzzer_errors_m: float = 0.0,
 ) -> World:
-    """Pose the problem of TDOAs from arrival times with Gaussian noise of `noise_s`."""
+    """Pose the problem of TDOAs from arrival times with Gaussian noise, and buzzers a little out of place."""
     poses = board_poses(n_poses, seed)
     sources_m = np.concatenate([pose.apply(BUZZERS_M) for pose in poses])
-    arrivals_s = np.linalg.norm(MICROPHONES_M - sources_m[:, None], axis=2) / SPEED_M_S
+    sounding_m = BUZZERS_M + buzzer_errors_m * np.random.default_rng(seed + 2).standard_normal(BUZZERS_M.shape)
+    sounding_m = np.concatenate([pose.apply(sounding_m) for pose in poses])
+    arrivals_s = np.linalg.norm(MICROPHONES_M - sounding_m[:, None], axis=2) / SPEED_M_S
     arrivals_s += noise_s * np.random.default_rng(seed + 1).standard_normal(arrivals_s.shape)
     pair_rows = np.array(pairs or list(combinations(range(8), 2)), dtype=np.int32)
     problem = TdoaProblem(
@@ -100,9 +107,11 @@ def write_measured_session(
     pairs: list[tuple[int, int]] | None = None,
     corners_px: np.ndarray | None = None,
     accepted: int | None = None,
+    seed: int = 0,
 ) -> Path:
     """Write a session that starts at measured corners and TDOAs (0.05 px, 1 us); the first `accepted` poses count."""
-    world = make_world(n_poses=n_poses, noise_s=1e-6, pairs=pairs)
+    errors_m = description.board.buzzer_std_m
+    world = make_world(n_poses=n_poses, noise_s=1e-6, pairs=pairs, seed=seed, buzzer_errors_m=errors_m)
     intrinsics = Intrinsics(focal_px=(940.0, 940.0), principal_px=(640.0, 360.0))
     described = description.model_copy(
         update={"camera": description.camera.model_copy(update={"intrinsics": intrinsics})}
@@ -110,7 +119,7 @@ def write_measured_session(
     if corners_px is None:
         points_m = board_corners_m(description.board)
         corners_px = np.array([project(points_m, pose, intrinsics) for pose in world.poses])
-        corners_px += np.random.default_rng(1).normal(scale=0.05, size=corners_px.shape)
+        corners_px += np.random.default_rng(seed + 3).normal(scale=0.05, size=corners_px.shape)
     channels = np.array(description.audio.channels, dtype=np.int32)
     tdoas = MeasuredTdoas(world.problem.tdoa_s if tdoa_s is None else tdoa_s, channels[world.problem.pairs])
     with SessionWriter.create(

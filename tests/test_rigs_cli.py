@@ -7,7 +7,7 @@ import sys
 import click
 import h5py
 import pytest
-from example_sessions import N_CHANNELS, TRUTH, add_pose, measured, new_session, write_session
+from example_sessions import N_CHANNELS, TRUTH, add_pose, measured, new_session, samples, write_session
 
 from rigs.cli import cli
 from rigs.command import run
@@ -25,7 +25,7 @@ def test_info_tells_what_a_session_holds(tmp_path, capsys):
     with new_session(path, truth=TRUTH, **measured()) as writer:
         add_pose(writer, 0)
         add_pose(writer, 1, accepted=False)
-        writer.append_audio([[0.0] * N_CHANNELS] @ _eye(), host_time_s=0.0, adc_time_s=0.0, flags=layout.FLAG_GAP)
+        writer.append_audio(samples(), host_time_s=0.0, adc_time_s=0.0, flags=layout.FLAG_GAP)
         writer.append_log(0.0, "warning", "channel 3 is quiet")
         writer.append_log(0.0, "info", "done")
     exit_code, out, err = info(capsys, path, "--verify")
@@ -33,7 +33,7 @@ def test_info_tells_what_a_session_holds(tmp_path, capsys):
     assert (exit_code, err) == (0, "")
     assert lines["session"] == "sésame"
     assert lines["complete"] == "yes"
-    assert lines["audio"] == f"0.0 s, {N_CHANNELS} channels, 48000 Hz, samples lost before 1 of 5 blocks"
+    assert lines["audio"] == f"0.1 s, {N_CHANNELS} channels, 48000 Hz, samples lost before 1 of 5 blocks"
     assert lines["frames"] == "4"
     assert lines["poses"] == "1 accepted of 2"
     assert lines["emissions"] == "2 accepted of 4"
@@ -41,12 +41,6 @@ def test_info_tells_what_a_session_holds(tmp_path, capsys):
     assert lines["truth"] == "yes, from simulation"
     assert lines["log"] == "2 lines, 1 warnings, 0 errors"
     assert lines["checksums"] == "all good"
-
-
-def _eye():
-    import numpy as np
-
-    return np.eye(N_CHANNELS, dtype=np.float32)
 
 
 def test_info_verify_finds_damage(tmp_path, capsys):
@@ -87,7 +81,11 @@ def test_wrong_usage_is_exit_code_2(arguments, capsys):
         (OSError(errno.ENOSPC, "x", "/a/b"), 2, "rig: /a/b: No space left on device: free some space"),
         (PermissionError(errno.EACCES, "x", "/a"), 2, "rig: /a: Permission denied: check the permissions"),
         (KeyboardInterrupt(), 130, "rig: interrupted"),
-        (ZeroDivisionError("oh\nno"), 1, "rig: a fault in this software: ZeroDivisionError: oh no; set RIG_TRACEBACK=1"),
+        (
+            ZeroDivisionError("oh\nno"),
+            1,
+            "rig: a fault in this software: ZeroDivisionError: oh no; set RIG_TRACEBACK=1",
+        ),
     ],
 )
 def test_every_error_is_one_line_and_an_exit_code(error, exit_code, words, capsys, monkeypatch):

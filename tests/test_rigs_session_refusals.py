@@ -9,7 +9,7 @@ import zlib
 import h5py
 import numpy as np
 import pytest
-from example_sessions import BLOCK, N_CHANNELS, TEXT, TRUTH, measured, samples, write_session
+from example_sessions import BLOCK, N_CHANNELS, TEXT, TRUTH, measured, new_session, samples, write_session
 
 from rigs.errors import SessionError
 from rigs.session import layout
@@ -335,8 +335,6 @@ def test_damaged_audio_and_pictures_are_found(path):
 
 
 def test_samples_that_are_not_numbers_are_found(tmp_path):
-    from example_sessions import new_session
-
     spoiled = samples()
     spoiled[3, 4] = np.nan
     with new_session(tmp_path / "s.h5") as writer:

@@ -125,9 +125,10 @@ def test_session_may_begin_at_measured_layers(path):
         assert session.truth is None
 
 
-def test_acoular_reads_a_session(path):
+def test_acoular_reads_a_session(path, monkeypatch):
+    monkeypatch.chdir(path.parent)  # Acoular may make a folder for its cache
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.filterwarnings("ignore", "We detected that Numpy is already loaded", UserWarning)
         import acoular
     write_session(path)
     source = acoular.TimeSamples(file=str(path))
@@ -237,9 +238,13 @@ def test_full_disk_is_one_clear_line_and_keeps_what_was_flushed(path):
 
 
 def test_exception_leaves_a_good_but_incomplete_session(path):
-    with pytest.raises(KeyboardInterrupt), new_session(path) as writer:
-        add_pose(writer, 0)
-        raise KeyboardInterrupt
+    def record_and_be_interrupted():
+        with new_session(path) as writer:
+            add_pose(writer, 0)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record_and_be_interrupted()
     with Session.open(path) as session:
         assert not session.complete
         assert session.n_samples == 2 * BLOCK
@@ -267,7 +272,7 @@ def test_missing_folder_is_named(tmp_path):
 
 
 def test_failed_creation_leaves_nothing(path):
-    with pytest.raises(ValueError, match="broadcast|convert|float"):
+    with pytest.raises(ValueError, match="could not convert"):
         new_session(path, corners_px="no corners")
     assert not path.exists()
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,6 +18,7 @@ from rigs.errors import SessionError, reason
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _WRITE_FLAGS = 0b101  # superblock 3: open for writing, open for SWMR writing
+_READ_ATTEMPTS = 25  # HDF5 waits twice as long after each, from 1 ns on: 30 ms; its default of 100 hangs on damage
 _MAX_OBJECTS = 1000
 _MAX_CHUNK_BYTES = 2**24
 _MAX_READ_BYTES = 2**30
@@ -43,9 +46,9 @@ class Container:
         SessionError
             Missing, empty, not HDF5, damaged, or with content that is never followed.
         """
-        flags = _write_flags(path)
+        growing = _is_growing(path)
         try:
-            file = h5py.File(path, "r", swmr=bool(flags))
+            file = _open_growing(path) if growing else h5py.File(path, "r")
         except (OSError, RuntimeError, ValueError) as error:
             raise SessionError(f"{path}: HDF5 cannot open it, it is damaged or cut short ({reason(error)})") from error
         try:
@@ -119,7 +122,7 @@ def reading(path: Path) -> Iterator[None]:
         raise SessionError(f"{path}: damaged or cut short, it cannot be read ({reason(error)})") from error
 
 
-def _write_flags(path: Path) -> int:
+def _is_growing(path: Path) -> bool:
     """Look at the first bytes: is this HDF5, and still marked as being written? Then only SWMR mode opens it."""
     if not path.exists():
         raise SessionError(f"{path}: no such file: name a session file, such as s1.h5")
@@ -134,7 +137,15 @@ def _write_flags(path: Path) -> int:
         raise SessionError(f"{path}: empty (0 bytes): the recording never began, or the copy failed")
     if len(head) < 12 or head[:8] != _SIGNATURE:
         raise SessionError(f"{path}: not an HDF5 file, so not a session")
-    return head[11] & _WRITE_FLAGS if head[8] == 3 else 0
+    return head[8] == 3 and bool(head[11] & _WRITE_FLAGS)
+
+
+def _open_growing(path: Path) -> h5py.File:
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    with suppress(OSError, AttributeError):  # h5py lacks this call; it links the library that has it
+        set_attempts = ctypes.CDLL(h5py.h5p.__file__).H5Pset_metadata_read_attempts
+        set_attempts(ctypes.c_int64(access.id), ctypes.c_uint(_READ_ATTEMPTS))
+    return h5py.File(h5py.h5f.open(os.fsencode(path), h5py.h5f.ACC_RDONLY | h5py.h5f.ACC_SWMR_READ, access))
 
 
 def _datasets(file: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]:

@@ -18,7 +18,6 @@ from rigs.session.layout import Truth
 FloatArray = NDArray[np.float64]
 _HALF_FRAME_M = 0.2  # the microphones sit around the camera on a frame like a cube of twice this side
 _MICROPHONE_SPREAD_M = 0.005
-_BUZZER_SPREAD_M = 1e-4
 _CORNERS = [(-1, -1, -1), (1, 1, -1), (1, -1, 1), (-1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1), (1, 1, 1)]
 
 
@@ -84,7 +83,7 @@ def draw_scene(description: RigDescription, seed: int) -> Scene:
         seed,
         _draw_intrinsics(description, seed),
         _draw_microphones(description, seed),
-        places_m + _BUZZER_SPREAD_M * draws(seed, "buzzers").standard_normal(places_m.shape),
+        places_m + description.board.buzzer_std_m * draws(seed, "buzzers").standard_normal(places_m.shape),
         medium.speed_m_s() + medium.speed_std_m_s() * float(draws(seed, "medium").standard_normal()),
         _draw_camera_to_room(np.array(description.simulation.room_size_m), seed),
     )
