@@ -1,0 +1,165 @@
+"""One capture, from the rig description to a closed session file; its states are drawn in docs/capture.md."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+
+from acquire.devices.base import Rig
+from acquire.devices.choose import choose_devices
+from acquire.errors import CaptureError, CaptureQualityError, InterruptedCaptureError
+from acquire.poses import Poses
+from acquire.recording import Recording
+from acquire.screen import Screen
+from acquire.status import State, Status
+from rigs import __version__
+from rigs.description import RigDescription
+from rigs.errors import SessionError, TargetExistsError
+from rigs.library import FoundDescription
+from rigs.session.writer import SessionWriter
+
+
+def capture(
+    found: FoundDescription,
+    path: Path,
+    *,
+    screen: Screen,
+    poses: int | None = None,
+    seed: int | None = None,
+    stop_wanted: Callable[[], bool] = lambda: False,
+) -> Status:
+    """Capture one session.
+
+    Parameters
+    ----------
+    found : FoundDescription
+    path : Path
+        The session file to make.
+    screen : Screen
+    poses : int, optional
+        How many, instead of what the description says.
+    seed : int, optional
+        Of the simulated rig.
+    stop_wanted : callable
+        Asked again and again; True ends the capture.
+
+    Returns
+    -------
+    Status
+        How it ended.
+
+    Raises
+    ------
+    rigs.errors.TargetExistsError
+        The file is there already; no device was touched.
+    rigs.errors.RigError
+        The file cannot be made or written.
+    DeviceError, FirmwareError
+        A device is missing or was lost; as for all errors below, what came before is saved in a closed file.
+    CaptureQualityError
+        The board was not found, or nothing was heard.
+    InterruptedCaptureError
+        Somebody wanted it to end.
+    """
+    refuse_bad_target(path)
+    description = _with_poses(found.description, poses)
+    rig = choose_devices(description, seed=seed)
+    with _opened(rig) as versions, _new_session(path, found, rig, versions) as writer:
+        status = _status(description, path)
+        recording = Recording(rig, writer, description, screen, status, stop_wanted)
+        try:
+            Poses(recording, description).capture_all()
+        except CaptureError as error:
+            _end(recording, _end_state(error), "error", str(error))
+            raise type(error)(f"{error}; {saved_line(status)}") from error
+        _end(recording, State.FINISHED, "info", saved_line(status))
+    return status
+
+
+def refuse_bad_target(path: Path) -> None:
+    """Refuse early what the writer would refuse after the devices were opened.
+
+    Raises
+    ------
+    rigs.errors.TargetExistsError
+        There is something at `path`.
+    rigs.errors.SessionError
+        There is no such folder.
+    """
+    if path.exists() or path.is_symlink():
+        raise TargetExistsError(f"{path}: there is already something of this name: choose another name")
+    if not path.parent.is_dir():
+        raise SessionError(f"{path}: there is no folder {path.parent}: make it first, or name another")
+
+
+def saved_line(status: Status) -> str:
+    """Say in words what is in the file."""
+    minutes, seconds = divmod(round(status.time_s), 60)
+    poses = "1 pose" if status.saved == 1 else f"{status.saved} poses"
+    return f"{poses} saved in {status.file} ({minutes}:{seconds:02d} of audio, {len(status.channels)} channels)"
+
+
+@contextmanager
+def _opened(rig: Rig) -> Iterator[dict[str, str]]:
+    """Open the devices, audio last so that little of it waits, and give the versions of everything."""
+    versions = {
+        "acoustic-camera-rig": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "h5py": h5py.__version__,
+        "hdf5": h5py.version.hdf5_version,
+    }
+    with ExitStack() as stack:
+        for part, device in (("trigger", rig.trigger), ("camera", rig.camera), ("audio", rig.audio)):
+            stack.callback(device.close)
+            versions[part] = device.open()
+        yield versions
+
+
+def _new_session(path: Path, found: FoundDescription, rig: Rig, versions: dict[str, str]) -> SessionWriter:
+    audio = found.description.audio
+    return SessionWriter.create(
+        path,
+        name=path.stem,
+        description_text=found.text,
+        n_channels=len(audio.recorded_channels()),
+        sample_rate_hz=audio.sample_rate_hz,
+        versions=versions,
+        truth=rig.truth,
+    )
+
+
+def _status(description: RigDescription, path: Path) -> Status:
+    return Status(
+        rig=description.name,
+        file=str(path),
+        channels=description.audio.recorded_channels(),
+        poses=description.capture.poses,
+        n_emissions=len(description.board.buzzers) * description.signal.repeats,
+    )
+
+
+def _with_poses(description: RigDescription, poses: int | None) -> RigDescription:
+    if poses is None:
+        return description
+    return description.model_copy(update={"capture": description.capture.model_copy(update={"poses": poses})})
+
+
+def _end_state(error: CaptureError) -> State:
+    if isinstance(error, InterruptedCaptureError):
+        return State.INTERRUPTED
+    return State.GIVEN_UP if isinstance(error, CaptureQualityError) else State.LOST
+
+
+def _end(recording: Recording, state: State, level: str, text: str) -> None:
+    """Close the file well, whatever ended the capture."""
+    recording.status.state, recording.status.advice = state, ""
+    recording.say(level, text)
+    recording.writer.close()

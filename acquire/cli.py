@@ -1,0 +1,65 @@
+"""The command line `rig-capture`: record a session."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rigs.command import run
+
+if TYPE_CHECKING:
+    from rigs.library import FoundDescription
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="acoustic-camera-rig")
+@click.option(
+    "--session",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Session file to make; .h5 is added when missing. An existing file is never written over.",
+)
+@click.option("--rig", metavar="PATH|NAME", help="Rig description: a YAML file, or the name of a shipped rig.")
+@click.option("--poses", type=click.IntRange(1, 10000), help="How many poses, instead of what the description says.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Of the simulated rig, instead of the description's.")
+def cli(session: Path, rig: str | None, poses: int | None, seed: int | None) -> int:
+    """Capture a session: for each pose of the board, fire every buzzer and record what microphones and camera take in.
+
+    Without --rig, the description is looked for in the environment variable RIG, in ./rig.yaml and in the user's config
+    folder; where there is none, the simulated rig is used. Ctrl-C ends the capture; what was recorded is saved.
+
+    Exit code: 0 good, 2 wrong usage or description, 3 a device is missing or was lost, 4 wrong firmware, 5 the board
+    was not found or nothing was heard, 130 ended by Ctrl-C or SIGTERM. Whatever the code, poses that were captured
+    are saved.
+    """
+    from rich.console import Console  # these, HDF5, OpenCV and pydantic would slow down --help
+
+    from acquire.capture import capture, refuse_bad_target
+    from acquire.interrupt import stop_on_signals
+    from acquire.screen import screen_for
+    from rigs.library import find_description
+
+    path = session if session.suffix == ".h5" else session.with_name(f"{session.name}.h5")
+    refuse_bad_target(path)
+    found = find_description(rig)
+    console = Console(highlight=False)
+    console.print(_rig_line(found), soft_wrap=True, markup=False)
+    with stop_on_signals() as stop_wanted, screen_for(console) as screen:
+        capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted)
+    console.print(f"next: rig-calibrate {path}", soft_wrap=True, markup=False)
+    return 0
+
+
+def _rig_line(found: FoundDescription) -> str:
+    why = f"named by {found.how}" if found.how in ("--rig", "RIG") else f"found as {found.how}"
+    if found.how == "default":
+        why = "the default, as neither --rig, RIG, ./rig.yaml nor the user's config folder names another"
+    return f"rig {found.description.name}, from {found.where}: {why}"
+
+
+def main() -> None:
+    """Run `rig-capture`."""
+    sys.exit(run("rig-capture", cli))

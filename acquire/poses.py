@@ -1,0 +1,170 @@
+"""The poses of a session: for each, wait for a still board, fire the buzzers, and see that the board stayed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.devices.base import Frame
+from acquire.emissions import ChannelFaults, Emissions
+from acquire.errors import CaptureQualityError
+from acquire.recording import Recording
+from acquire.status import State
+from acquire.stillness import Sight, StillBoard, movement_px
+from rigs.board import find_corners
+from rigs.description import RigDescription
+
+FloatArray = NDArray[np.float64]
+_MAX_SILENT_POSES = 3
+_LOOK_PAUSE_S = 0.15  # the search for corners is most of the work of a capture
+_ADVICE = {
+    Sight.MISSING: "bring the whole board into the picture, evenly lit and without glare",
+    Sight.SAME_PLACE: "move the board to a new place",
+    Sight.MOVING: "let the board stand still",
+    Sight.SETTLING: "let the board stand still",
+    Sight.STILL: "leave the board where it is and keep quiet",
+}
+_STAND = "put it on a stand, or raise capture.still_px if only the picture's noise moves the corners"
+_TIMEOUT_REMEDIES = {Sight.MOVING: _STAND, Sight.SETTLING: _STAND}
+_CHANNEL_REMEDIES = {
+    "silent": "check its cable, power and mute switch; calibration cannot place it",
+    "clipped": "turn its gain down",
+}
+
+
+class Poses:
+    """Captures pose after pose, and counts the good ones in the status.
+
+    Parameters
+    ----------
+    recording : Recording
+    description : RigDescription
+    """
+
+    def __init__(self, recording: Recording, description: RigDescription) -> None:
+        self._recording, self._status, self._clock = recording, recording.status, recording.rig.clock
+        self._board, self._limits = description.board, description.capture
+        self._emissions = Emissions(recording, description)
+        self._shots = [
+            (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
+        ]
+        self._pose = 0  # counts attempts: a place that is captured again gets a number of its own
+        self._again = False  # the last attempt failed, so the same place is wanted
+        self._silent_poses = 0
+        self._last_corners_px: FloatArray | None = None
+
+    def capture_all(self) -> None:
+        """Capture until enough poses are good.
+
+        Raises
+        ------
+        DeviceError, InterruptedCaptureError
+        CaptureQualityError
+            The board was not found still at a new place in time, or nothing was heard again and again.
+        """
+        while self._status.saved < self._status.poses:
+            frame, corners_px = self._wait_for_still_board()
+            self._again = not self._capture_pose(frame, corners_px)
+            if not self._again:
+                self._last_corners_px = corners_px
+                self._status.saved += 1
+            self._pose += 1
+
+    def _wait_for_still_board(self) -> tuple[Frame, FloatArray]:
+        """Return the picture in which the board has come to rest at a new place, and its corners."""
+        self._recording.rig.operator.ask_for_pose(self._status.saved)
+        request = "let it stand still where it is" if self._again else "move it to a new place and let it stand still"
+        self._recording.say("info", f"{self._status.pose_label()}, board: {request}")
+        watch = StillBoard(self._limits, self._last_corners_px)
+        end_s = self._clock.now_s() + self._limits.pose_timeout_s
+        sight = Sight.MISSING
+        while self._clock.now_s() < end_s:
+            frame, corners_px = self._look()
+            sight = watch.see(corners_px, frame.host_time_s)
+            self._show(sight, watch.movement_px)
+            if sight is Sight.STILL and corners_px is not None:
+                return frame, corners_px
+            self._recording.record(min(self._limits.still_s / 3, _LOOK_PAUSE_S))
+        raise CaptureQualityError(
+            f"{self._status.pose_label()}: after {self._limits.pose_timeout_s:g} s the board is {self._status.board}: "
+            f"{_TIMEOUT_REMEDIES.get(sight, _ADVICE[sight])}"
+        )
+
+    def _capture_pose(self, first: Frame, corners_px: FloatArray) -> bool:
+        """Fire all buzzers, and return whether the pose is good; it is stored either way, an interrupted one too."""
+        accepted = False
+        self._recording.keep(first, self._pose)
+        try:
+            n_good = self._fire_all()
+            accepted = self._was_heard(n_good) and self._has_stayed(corners_px)
+        finally:
+            self._recording.writer.append_pose(
+                pose=self._pose,
+                start_host_time_s=first.host_time_s,
+                end_host_time_s=self._clock.now_s(),
+                accepted=accepted,
+            )
+            self._recording.flush()
+        if accepted:
+            self._recording.say(
+                "info", f"{self._status.pose_label()} is good: {n_good} of {len(self._shots)} emissions heard"
+            )
+        return accepted
+
+    def _fire_all(self) -> int:
+        """Fire every buzzer in turn, note what ails single channels, and return how many emissions were good."""
+        faults = []
+        for number, (repeat, buzzer) in enumerate(self._shots, start=1):
+            self._status.buzzer, self._status.emission = buzzer, number
+            faults.append(self._emissions.fire(self._pose, buzzer, repeat))
+        self._status.buzzer = None
+        heard = [each for each in faults if each is not None]
+        if heard:
+            self._note_channels(frozenset.intersection(*heard))
+        return len(heard)
+
+    def _note_channels(self, faults: ChannelFaults) -> None:
+        """Warn of channels that had the same fault in every emission of the pose, once until it changes."""
+        now = {self._status.channels[column]: kind for column, kind in sorted(faults)}
+        for channel, kind in now.items():
+            if self._status.faults.get(channel) != kind:
+                self._recording.say(
+                    "warning", f"channel {channel} is {kind} in every emission: {_CHANNEL_REMEDIES[kind]}"
+                )
+        for channel in self._status.faults.keys() - now.keys():
+            self._recording.say("info", f"channel {channel} is good again")
+        self._status.faults = now
+
+    def _was_heard(self, n_good: int) -> bool:
+        self._silent_poses = 0 if n_good else self._silent_poses + 1
+        if n_good:
+            return True
+        line = f"{self._status.pose_label()}: no emission was good: check the buzzers' power and the microphones"
+        if self._silent_poses >= _MAX_SILENT_POSES:
+            raise CaptureQualityError(f"{line}; given up after {_MAX_SILENT_POSES} times")
+        self._recording.say("warning", f"{line}; the same place again")
+        return False
+
+    def _has_stayed(self, first_px: FloatArray) -> bool:
+        """Tell from one more picture, which is stored, whether the board is where it was."""
+        self._status.state = State.COMPARING
+        frame, corners_px = self._look()
+        self._recording.keep(frame, self._pose)
+        moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)
+        if moved_px < self._limits.still_px:
+            return True
+        what = "was lost from sight" if corners_px is None else f"moved by {moved_px:.1f} px"
+        self._recording.say(
+            "warning", f"{self._status.pose_label()}: the board {what} while the buzzers sounded; the same place again"
+        )
+        return False
+
+    def _look(self) -> tuple[Frame, FloatArray | None]:
+        frame = self._recording.look()
+        return frame, find_corners(frame.image, self._board)
+
+    def _show(self, sight: Sight, moved_px: float) -> None:
+        found = sight in (Sight.MOVING, Sight.SETTLING, Sight.STILL)
+        self._status.state = State.SETTLING if found else State.WAITING
+        self._status.board = f"{sight.value} ({moved_px:.2f} px)" if found else sight.value
+        self._status.advice = _ADVICE[sight]

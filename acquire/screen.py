@@ -1,0 +1,197 @@
+"""The screens of a capture: a live one for a terminal, and plain lines for everything else."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import Protocol, Self
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from acquire.status import QUIET_DBFS, Message, State, Status
+
+_REFRESH_S = 0.1
+_HOT_DBFS, _CLIPPED_DBFS = -6.0, -0.1
+_METER_WIDTH = 38
+_LINES_BESIDE_METERS = 16
+_LINES_LEFT_FREE = 4  # the rig above, what to do next below, the prompt
+_ENDS = {State.FINISHED: "green", State.INTERRUPTED: "yellow", State.LOST: "red", State.GIVEN_UP: "red"}
+_LEVEL_STYLES = {"info": "", "warning": "yellow"}
+
+
+class Screen(Protocol):
+    """Whatever shows a capture to its operator."""
+
+    def show(self, status: Status) -> None:
+        """Show how things stand; called often."""
+
+    def say(self, message: Message) -> None:
+        """Show something that happened."""
+
+
+class PlainScreen:
+    """One line per event, for pipes, logs and dumb terminals."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def show(self, status: Status) -> None:
+        """Show nothing: lines tell events only."""
+
+    def say(self, message: Message) -> None:
+        """Print one line."""
+        mark = "" if message.level == "info" else f"{message.level}: "
+        self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
+
+
+class LiveScreen:
+    """A display that is redrawn in place."""
+
+    def __init__(self, console: Console) -> None:
+        self._live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
+        self._console = console
+        self._status: Status | None = None
+        self._drawn_s = float("-inf")
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._status is not None:
+            self._draw(self._status)
+        self._live.stop()
+
+    def show(self, status: Status) -> None:
+        """Redraw, but not more often than an eye can follow."""
+        self._status = status
+        if time.monotonic() - self._drawn_s >= _REFRESH_S:
+            self._draw(status)
+
+    def say(self, message: Message) -> None:
+        """Redraw soon; the status holds the message."""
+        self._drawn_s = float("-inf")
+
+    def _draw(self, status: Status) -> None:
+        size = self._console.size
+        self._live.update(picture(status, size.width, size.height), refresh=True)
+        self._drawn_s = time.monotonic()
+
+
+def screen_for(console: Console) -> LiveScreen | PlainScreen:
+    """Return the live screen for a terminal, else plain lines."""
+    return LiveScreen(console) if console.is_terminal and not console.is_dumb_terminal else PlainScreen(console)
+
+
+def picture(status: Status, width: int, height: int) -> RenderableType:
+    """Draw the status for a terminal of `width` columns and `height` lines."""
+    rows = max(4, min(len(status.channels), height - _LINES_BESIDE_METERS))
+    n_messages = max(height - _LINES_BESIDE_METERS - rows + 5, 3)
+    blank = Text("")
+    now = Text.assemble(("Now  ", "dim"), (status.advice, "bold"), no_wrap=True, overflow="ellipsis")
+    parts: list[RenderableType] = [_header(status, width), _progress(status, width), _meters(status, width, rows)]
+    parts += [now] if status.advice else []
+    parts.append(_messages(status, n_messages))
+    return Cropped(Group(*(line for part in parts for line in (part, blank))), height - _LINES_LEFT_FREE)
+
+
+class Cropped:
+    """A picture of always the same number of lines, so that nothing jumps or scrolls away."""
+
+    def __init__(self, content: RenderableType, height: int) -> None:
+        self._content, self._height = content, height
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        lines = console.render_lines(self._content, options.update(height=None), pad=True)
+        for line in Segment.set_shape(lines, options.max_width, self._height):
+            yield from line
+            yield Segment.line()
+
+
+def _header(status: Status, width: int) -> Table:
+    grid = Table.grid(expand=True, padding=(0, 2))
+    grid.width = width
+    grid.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
+    grid.add_column(no_wrap=True, justify="right")
+    title = Text.assemble(("rig-capture", "bold"), f"  {status.rig} ", ("to", "dim"), f" {status.file}")
+    state = Text(f"{status.state.value}  ", style=_ENDS.get(status.state, "cyan")) + Text(_clock_time(status.time_s))
+    grid.add_row(title, state)
+    return grid
+
+
+def _progress(status: Status, width: int) -> Table:
+    bar_width = max(width - 28, 10)
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", width=7)
+    grid.add_column(width=16, no_wrap=True)
+    grid.add_column()
+    style = "green" if status.state is State.FINISHED else "cyan"
+    saved = ProgressBar(status.poses, status.saved, width=bar_width, complete_style=style, finished_style=style)
+    fired = ProgressBar(
+        status.n_emissions, status.emission, width=bar_width, complete_style=style, finished_style=style
+    )
+    buzzer = "-" if status.buzzer is None else f"{status.buzzer} ({status.emission} of {status.n_emissions})"
+    grid.add_row("Poses", f"{status.saved} of {status.poses} saved", saved)
+    grid.add_row("Buzzer", buzzer, fired)
+    grid.add_row("Board", Text(status.board, overflow="ellipsis"))
+    return grid
+
+
+def _meters(status: Status, width: int, rows: int) -> Table:
+    columns = max(min(-(-len(status.channels) // rows), width // _METER_WIDTH), 1)
+    bar_width = max((width - 2 * (columns - 1)) // columns - 32, 6)
+    shown = min(len(status.channels), rows * columns)
+    hidden = len(status.channels) - shown
+    grid = Table.grid(padding=(0, 2))
+    for row in range(min(rows, shown)):
+        grid.add_row(*(_meter(status, index, bar_width) for index in range(row, shown, rows)))
+    if hidden:
+        grid.add_row(Text(f"and {hidden} more channels", style="dim"))
+    return grid
+
+
+def _meter(status: Status, index: int, bar_width: int) -> Table:
+    channel, level_dbfs = status.channels[index], float(status.level_dbfs[index])
+    fault = status.faults.get(channel, "clipping" if level_dbfs >= _CLIPPED_DBFS else "")
+    style = "red" if fault else "yellow" if level_dbfs >= _HOT_DBFS else "green"
+    bar = ProgressBar(-QUIET_DBFS, level_dbfs - QUIET_DBFS, width=bar_width, complete_style=style, finished_style=style)
+    grid = Table.grid(padding=(0, 1))
+    grid.add_column(width=6, style="dim", no_wrap=True)
+    grid.add_column(width=bar_width)
+    grid.add_column(width=9, justify="right", no_wrap=True)
+    grid.add_column(width=9, style="red", no_wrap=True)
+    number = "-inf dBFS" if level_dbfs <= QUIET_DBFS else f"{level_dbfs:.0f} dBFS"
+    grid.add_row(f"ch {channel}", bar, number, fault)
+    return grid
+
+
+def _messages(status: Status, n_messages: int) -> Table:
+    """Return the last messages, the newest first, so that a small terminal cuts off the oldest."""
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column(overflow="fold")
+    for message in list(status.messages)[: -n_messages - 1 : -1]:
+        mark = "" if message.level == "info" else f"{message.level}: "
+        grid.add_row(
+            _clock_time(message.time_s), Text(mark + message.text, style=_LEVEL_STYLES.get(message.level, "red"))
+        )
+    return grid
+
+
+def _clock_time(time_s: float) -> str:
+    return f"{int(time_s) // 60:3d}:{int(time_s) % 60:02d}"

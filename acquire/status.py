@@ -1,0 +1,83 @@
+"""The status of a capture: what it does now, and what it tells; screens show it, tests read it."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+QUIET_DBFS = -90.0
+_FALL_DB_PER_S = 30.0
+
+
+class State(StrEnum):
+    """The states of a capture; drawn in docs/capture.md."""
+
+    OPENING = "opening"
+    WAITING = "waiting"
+    SETTLING = "settling"
+    FIRING = "firing"
+    CHECKING = "checking"
+    COMPARING = "comparing"
+    FINISHED = "finished"
+    INTERRUPTED = "interrupted"
+    LOST = "lost"
+    GIVEN_UP = "given up"
+
+
+@dataclass(frozen=True)
+class Message:
+    """One line for the operator and for the log: "info" or "warning", and when, since the session began."""
+
+    time_s: float
+    level: str
+    text: str
+
+
+@dataclass
+class Status:
+    """What a screen shows.
+
+    Parameters
+    ----------
+    rig, file : str
+        Names of the rig and of the session file.
+    channels : tuple of int
+        Input channels, in the order of the columns of the recording.
+    poses : int
+        How many are wanted.
+    n_emissions : int
+        How many a pose has.
+    """
+
+    rig: str
+    file: str
+    channels: tuple[int, ...]
+    poses: int
+    n_emissions: int
+    state: State = State.OPENING
+    saved: int = 0
+    time_s: float = 0.0
+    buzzer: int | None = None
+    emission: int = 0
+    board: str = "not looked for yet"
+    advice: str = ""
+    faults: dict[int, str] = field(default_factory=dict)
+    messages: deque[Message] = field(default_factory=lambda: deque(maxlen=20))
+    level_dbfs: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.level_dbfs = np.full(len(self.channels), QUIET_DBFS)
+
+    def hear(self, samples: NDArray[np.float32], duration_s: float) -> None:
+        """Move the level meters: up at once to the peak of samples (n, n_channels), down slowly."""
+        peak = np.nan_to_num(np.abs(samples).max(axis=0, initial=0.0)).astype(float)
+        peak_dbfs = 20 * np.log10(np.maximum(peak, 10 ** (QUIET_DBFS / 20)))
+        self.level_dbfs = np.maximum(peak_dbfs, self.level_dbfs - _FALL_DB_PER_S * duration_s)
+
+    def pose_label(self) -> str:
+        """Return which pose is being captured, counted from 1."""
+        return f"pose {min(self.saved + 1, self.poses)} of {self.poses}"

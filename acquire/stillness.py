@@ -1,0 +1,76 @@
+"""The stillness of the board: whether it is found, at a new place, and has come to rest."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigs.description import Capture
+
+FloatArray = NDArray[np.float64]
+
+
+class Sight(StrEnum):
+    """What the camera sees of the board."""
+
+    MISSING = "not found"
+    SAME_PLACE = "at the last place"
+    MOVING = "moving"
+    SETTLING = "coming to rest"
+    STILL = "still"
+
+
+class StillBoard:
+    """Watches the corners until the board is found, somewhere new, and has stood still long enough.
+
+    Parameters
+    ----------
+    limits : Capture
+        `still_px`, `still_s` and `new_pose_px`.
+    last_corners_px : (n_corners, 2) array or None
+        Corners of the last accepted pose.
+    """
+
+    def __init__(self, limits: Capture, last_corners_px: FloatArray | None) -> None:
+        self._limits = limits
+        self._last_corners_px = last_corners_px
+        self._still_since: tuple[float, FloatArray] | None = None
+        self.movement_px = float("nan")
+
+    def see(self, corners_px: FloatArray | None, host_time_s: float) -> Sight:
+        """Take the corners (n_corners, 2) of the next picture, None where the board is not found."""
+        if corners_px is None:
+            self._still_since, self.movement_px = None, float("nan")
+            return Sight.MISSING
+        if self._last_corners_px is not None and not self._is_new(corners_px, self._last_corners_px):
+            self._still_since, self.movement_px = None, float("nan")
+            return Sight.SAME_PLACE
+        return self._follow(corners_px, host_time_s)
+
+    def _is_new(self, corners_px: FloatArray, last_corners_px: FloatArray) -> bool:
+        distances_px = corner_distances_px(corners_px, last_corners_px)
+        return not len(distances_px) or bool(distances_px.mean() >= self._limits.new_pose_px)
+
+    def _follow(self, corners_px: FloatArray, host_time_s: float) -> Sight:
+        if self._still_since is None:
+            self._still_since = (host_time_s, corners_px)
+        since_s, reference_px = self._still_since  # one reference for the whole time: a slow drift is movement too
+        self.movement_px = movement_px(corners_px, reference_px)
+        if not self.movement_px < self._limits.still_px:
+            self._still_since = (host_time_s, corners_px)
+            return Sight.MOVING
+        return Sight.STILL if host_time_s - since_s >= self._limits.still_s else Sight.SETTLING
+
+
+def corner_distances_px(first_px: FloatArray, second_px: FloatArray) -> FloatArray:
+    """Return how far each corner that both (n_corners, 2) show has moved, in pixels."""
+    distances_px = np.linalg.norm(first_px - second_px, axis=1)
+    return np.asarray(distances_px[np.isfinite(distances_px)])
+
+
+def movement_px(first_px: FloatArray, second_px: FloatArray) -> float:
+    """Return the largest movement of a corner in pixels; infinite when no corner is in both (n_corners, 2)."""
+    distances_px = corner_distances_px(first_px, second_px)
+    return float(distances_px.max()) if len(distances_px) else float("inf")

@@ -1,0 +1,96 @@
+"""The recording when a sound device misbehaves in ways that it does not tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from capturing import Listener, small_rig
+
+from acquire.devices.choose import choose_devices
+from acquire.errors import DeviceError
+from acquire.recording import Recording
+from acquire.status import Status
+from rigs.session.layout import FLAG_GAP
+from rigs.session.reader import Session
+from rigs.session.writer import SessionWriter
+
+
+class Mute:
+    """A sound device that was unplugged: no error, no samples."""
+
+    def open(self):
+        return "mute 1.0"
+
+    def read(self):
+        return []
+
+    def close(self):
+        pass
+
+
+class Leaky:
+    """A sound device that loses its 40th block and does not say so."""
+
+    def __init__(self, audio):
+        self._audio, self._count = audio, 0
+
+    def open(self):
+        return self._audio.open()
+
+    def read(self):
+        kept = []
+        for block in self._audio.read():
+            self._count += 1
+            if self._count != 40:
+                kept.append(block)
+        return kept
+
+    def close(self):
+        self._audio.close()
+
+
+def recording_of(rig, found, path, screen):
+    rig.audio.open()
+    channels = found.description.audio.recorded_channels()
+    writer = SessionWriter.create(
+        path,
+        name="s",
+        description_text=found.text,
+        n_channels=len(channels),
+        sample_rate_hz=found.description.audio.sample_rate_hz,
+        versions={},
+    )
+    return writer, Recording(rig, writer, found.description, screen, Status("r", "s", channels, 1, 2), lambda: False)
+
+
+def test_a_sound_device_that_falls_silent_is_lost(tmp_path):
+    found = small_rig()
+    rig = replace(choose_devices(found.description), audio=Mute())
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", Listener())
+    with writer, pytest.raises(DeviceError, match="has delivered nothing for 2 s: check that it is plugged in"):
+        recording.record(5.0)
+
+
+def test_samples_lost_without_a_word_are_found_by_the_clock(tmp_path):
+    found = small_rig()
+    rig = choose_devices(found.description)
+    rig = replace(rig, audio=Leaky(rig.audio))
+    screen = Listener()
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    with writer:
+        recording.record(8.0)
+    assert recording.losses == 1
+    assert "the clock says audio was lost before" in screen.warnings()
+    with Session.open(tmp_path / "s.h5") as session:
+        assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_GAP) == 1
+
+
+def test_what_has_left_memory_is_not_given(tmp_path):
+    found = small_rig()
+    writer, recording = recording_of(choose_devices(found.description), found, tmp_path / "s.h5", Listener())
+    with writer:
+        recording.record(10.0)
+        first, samples = recording.samples(0, writer.n_samples)
+        assert first > 0
+        assert first + len(samples) == writer.n_samples
+        assert len(recording.samples(writer.n_samples, writer.n_samples + 100)[1]) == 0
