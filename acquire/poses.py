@@ -10,8 +10,8 @@ from acquire.emissions import ChannelFaults, Emissions
 from acquire.errors import CaptureQualityError
 from acquire.recording import Recording
 from acquire.status import State
-from acquire.stillness import Sight, StillBoard, movement_px
-from rigs.board import find_corners
+from acquire.stillness import Sight, StillBoard
+from rigs.board import find_corners, movement_px
 from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]

@@ -7,6 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from rigs.board import movement_px
 from rigs.description import Capture
 
 FloatArray = NDArray[np.float64]
@@ -50,8 +51,7 @@ class StillBoard:
         return self._follow(corners_px, host_time_s)
 
     def _is_new(self, corners_px: FloatArray, last_corners_px: FloatArray) -> bool:
-        distances_px = corner_distances_px(corners_px, last_corners_px)
-        return not len(distances_px) or bool(distances_px.mean() >= self._limits.new_pose_px)
+        return movement_px(corners_px, last_corners_px) >= self._limits.new_pose_px
 
     def _follow(self, corners_px: FloatArray, host_time_s: float) -> Sight:
         if self._still_since is None:
@@ -62,15 +62,3 @@ class StillBoard:
             self._still_since = (host_time_s, corners_px)
             return Sight.MOVING
         return Sight.STILL if host_time_s - since_s >= self._limits.still_s else Sight.SETTLING
-
-
-def corner_distances_px(first_px: FloatArray, second_px: FloatArray) -> FloatArray:
-    """Return how far each corner that both (n_corners, 2) show has moved, in pixels."""
-    distances_px = np.linalg.norm(first_px - second_px, axis=1)
-    return np.asarray(distances_px[np.isfinite(distances_px)])
-
-
-def movement_px(first_px: FloatArray, second_px: FloatArray) -> float:
-    """Return the largest movement of a corner in pixels; infinite when no corner is in both (n_corners, 2)."""
-    distances_px = corner_distances_px(first_px, second_px)
-    return float(distances_px.max()) if len(distances_px) else float("inf")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import NotEnoughDataError
-from rigs.board import find_corners
+from rigs.board import find_corners, movement_px
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
@@ -80,16 +80,10 @@ def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
         if not views:
             warnings.append(f"pose {pose} left out: the board was not found in its pictures")
             continue
-        moved_px = _movement_px(np.array(views))
+        moved_px = max(movement_px(view, views[0]) for view in views)
         if moved_px > still_px:
             warnings.append(f"pose {pose} left out: the board moved by {moved_px:.2f} px between its pictures")
             continue
         poses.append(pose)
         corners.append(np.mean(views, axis=0))
     return PoseCorners(np.array(poses, dtype=np.int32), np.array(corners), warnings)
-
-
-def _movement_px(views: FloatArray) -> float:
-    """Return how far the board as a whole moved: the largest distance of a view's mean shift from the first view."""
-    shifts = np.nanmean(views - views[0], axis=1)
-    return float(np.linalg.norm(shifts, axis=1).max())

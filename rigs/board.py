@@ -44,6 +44,16 @@ def find_corners(image: NDArray[np.uint8], board: Board) -> FloatArray | None:
     return _checkerboard_corners(np.ascontiguousarray(gray, dtype=np.uint8), board)
 
 
+def movement_px(first_px: FloatArray, second_px: FloatArray) -> float:
+    """Return how far the board moved between two sets of corners (n_corners, 2): root mean square, in pixels.
+
+    Infinite when no corner is in both. Not the largest movement: that is mostly one corner's noise.
+    """
+    squares = np.sum((first_px - second_px) ** 2, axis=1)
+    both = np.isfinite(squares)
+    return float(np.sqrt(squares[both].mean())) if both.any() else float("inf")
+
+
 def estimate_pose(corners_px: FloatArray, board: Board, intrinsics: Intrinsics) -> Pose | None:
     """Find the board's pose from its corners (n_corners, 2), NaN where not seen; None where that fails.
 
@@ -112,14 +122,16 @@ def _charuco_corners(gray: NDArray[np.uint8], board: Board) -> FloatArray | None
         return None
     corners = np.full((board.corners[0] * board.corners[1], 2), np.nan)
     corners[np.asarray(ids).ravel()] = np.asarray(found, dtype=float).reshape(-1, 2)
-    return corners
+    assert board.charuco is not None
+    clear_of_markers = 0.5 * (1 - board.charuco.marker_size_m / board.square_size_m)
+    return _refined_corners(gray, corners, board, clear_of_markers)
 
 
 def _checkerboard_corners(gray: NDArray[np.uint8], board: Board) -> FloatArray | None:
     coarse_px = _coarse_checkerboard(gray, board)
     if coarse_px is None:
         return None
-    corners_px = _refined_corners(gray, coarse_px, board)
+    corners_px = _refined_corners(gray, coarse_px, board, _WINDOW_SHARE)
     return corners_px if _first_square_is_dark(gray, corners_px, board) else corners_px[::-1].copy()
 
 
@@ -136,18 +148,23 @@ def _coarse_checkerboard(gray: NDArray[np.uint8], board: Board) -> FloatArray | 
     return None
 
 
-def _refined_corners(gray: NDArray[np.uint8], corners_px: FloatArray, board: Board) -> FloatArray:
-    """Move each corner to its saddle point, within a window that stays clear of the neighbours.
+def _refined_corners(gray: NDArray[np.uint8], corners_px: FloatArray, board: Board, window_share: float) -> FloatArray:
+    """Move each corner to its saddle point, within a window that stays clear of its neighbours and of markers.
 
     The window grows with the board in the picture: measured on rendered boards this halves the error of a fixed one,
     and the sector-based finder alone errs in scale by 200 ppm from pose to pose.
     """
     grid = corners_px.reshape(board.corners[1], board.corners[0], 2)
-    spacing_px = min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1))
-    half_px = max(2, int(_WINDOW_SHARE * spacing_px))
+    spacings_px = np.concatenate([np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (0, 1)])
+    if np.isnan(spacings_px).all():
+        return corners_px
+    half_px = max(2, int(window_share * np.nanmin(spacings_px)))
+    seen = np.isfinite(corners_px).all(axis=1)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-    start = corners_px.astype(np.float32).reshape(-1, 1, 2)
-    return np.asarray(cv2.cornerSubPix(gray, start, (half_px, half_px), (-1, -1), criteria), dtype=float).reshape(-1, 2)
+    start = corners_px[seen].astype(np.float32).reshape(-1, 1, 2)
+    refined_px = corners_px.copy()
+    refined_px[seen] = cv2.cornerSubPix(gray, start, (half_px, half_px), (-1, -1), criteria).reshape(-1, 2)
+    return refined_px
 
 
 def _first_square_is_dark(gray: NDArray[np.uint8], corners_px: FloatArray, board: Board) -> bool:

@@ -7,7 +7,8 @@ import pytest
 
 from acquire.checks import check_emission
 from acquire.sample_clock import SampleClock
-from acquire.stillness import Sight, StillBoard, movement_px
+from acquire.stillness import Sight, StillBoard
+from rigs.board import movement_px
 from rigs.description import Capture
 from rigs.waveform import Waveform
 

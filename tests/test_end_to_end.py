@@ -1,0 +1,205 @@
+"""From the command that captures to the file that says where the microphones are, as a user runs them."""
+
+import hashlib
+import shutil
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+from capturing import rig_text
+from simulated import make_description
+
+from calib.cli import command as calibrate_command
+from rigs.command import run
+from rigs.session.reader import Session
+
+BIN = Path(sys.executable).parent
+SIX_BUZZERS = [
+    {"id": 1 + 3 * row + column, "position_m": (-0.045 + 0.145 * column, -0.045 + 0.215 * row, -0.005)}
+    for row in range(2)
+    for column in range(3)
+]
+
+
+def shell(*arguments: object, exit_code: int = 0, cwd: Path) -> str:
+    """Run a console script as a user does and return what it printed on both streams."""
+    name, *rest = (str(argument) for argument in arguments)
+    done = subprocess.run([BIN / name, *rest], cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == exit_code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
+
+
+def result_of(path: Path) -> dict:
+    return yaml.safe_load(path.read_text())
+
+
+def capture_short(folder: Path, name: str, **sections: dict) -> Path:
+    """Capture 8 poses at 640 x 480 with a rig of the test's own."""
+    changes = {
+        "board": {"buzzers": SIX_BUZZERS, "buzzer_std_m": 0.0001},
+        "camera": {"size_px": (640, 480)},
+        "signal": {"gap_s": 0.2},
+        "capture": {"poses": 8},
+    }
+    description = make_description(**{key: changes.get(key, {}) | sections.get(key, {}) for key in changes | sections})
+    (folder / "rig.yaml").write_text(rig_text(description))
+    shell("rig-capture", "--session", name, "--seed", 5, cwd=folder)
+    return folder / f"{name}.h5"
+
+
+@pytest.fixture(scope="module")
+def short_session(tmp_path_factory) -> Path:
+    return capture_short(tmp_path_factory.mktemp("short"), "short")
+
+
+@pytest.fixture
+def session(short_session, tmp_path) -> Path:
+    """Return a copy that a test may spoil."""
+    return Path(shutil.copy(short_session, tmp_path / "s1.h5"))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_demo_is_right_to_a_millimetre(tmp_path, seed):
+    said = shell("rig-capture", "--session", "demo", "--rig", "simulated", "--seed", seed, cwd=tmp_path)
+    assert "25 poses saved" in said
+    shell("rig-calibrate", "demo.h5", cwd=tmp_path)
+    result = result_of(tmp_path / "demo.calib.yaml")
+    assert result["evaluation"]["rmse_m"] <= 0.0010
+    assert result["camera"]["source"] == "session"
+    assert result["warnings"] == []
+    (tmp_path / "demo.h5").unlink()  # 230 MB
+
+
+@pytest.mark.parametrize(
+    ("method", "problem", "layout", "paper_rmse_m", "rmse_m"),
+    [
+        ("ours-1", 7, "B", 0.04701, 0.04874),
+        ("ours-2", 28, "A", 0.02606, 0.02819),
+        ("ours-3", 8, "B", 0.06146, 0.06696),
+    ],
+)
+def test_published_measurements_give_the_papers_figures(
+    aislab_folder, tmp_path, method, problem, layout, paper_rmse_m, rmse_m
+):
+    shell(
+        "rig-session", "import", "aislab", aislab_folder.resolve(), "-o", "aislab.h5",
+        "--problem", problem, "--layout", layout, cwd=tmp_path,
+    )  # fmt: skip
+    said = shell("rig-calibrate", "aislab.h5", "--method", method, cwd=tmp_path)
+    evaluation = result_of(tmp_path / "aislab.calib.yaml")["evaluation"]
+    assert evaluation["paper_rmse_m"] == pytest.approx(paper_rmse_m, abs=0.00005)
+    assert evaluation["rmse_m"] == pytest.approx(rmse_m, abs=0.00005)
+    assert f"{1e3 * evaluation['rmse_m']:.2f} mm in the camera frame" in said
+    assert f"{1e3 * evaluation['paper_rmse_m']:.2f} mm (microphones 1 to 7" in said
+
+
+def test_joint_method_takes_published_measurements(aislab_folder, tmp_path):
+    shell("rig-session", "import", "aislab", aislab_folder.resolve(), "-o", "aislab.h5", cwd=tmp_path)
+    shell("rig-calibrate", "aislab.h5", cwd=tmp_path)
+    result = result_of(tmp_path / "aislab.calib.yaml")
+    assert result["residual"]["robust_sigma_s"] < 20e-6  # the 24 kHz grid alone leaves 16.4 us
+    assert result["evaluation"]["rmse_aligned_m"] < 0.025
+
+
+def test_acoular_reads_a_captured_session(short_session, monkeypatch):
+    monkeypatch.chdir(short_session.parent)  # Acoular makes a cache folder where it stands
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Acoular's and its dependencies' own
+        import acoular
+
+    source = acoular.TimeSamples(file=str(short_session))
+    with Session.open(short_session) as session:
+        assert source.sample_freq == session.sample_rate_hz == 48000
+        assert (source.num_samples, source.num_channels) == (session.n_samples, 8)
+        np.testing.assert_array_equal(next(source.result(48000)), session.audio(0, 48000))
+
+
+def test_charuco_session_calibrates(tmp_path):
+    board = {
+        "pattern": "charuco",
+        "charuco": {"dictionary": "DICT_4X4_100", "marker_size_m": 0.019},
+        "buzzers": SIX_BUZZERS,
+    }
+    path = capture_short(tmp_path, "charuco", board=board, camera={"size_px": (1280, 720)})
+    shell("rig-calibrate", path, cwd=tmp_path)
+    assert result_of(tmp_path / "charuco.calib.yaml")["evaluation"]["rmse_m"] < 0.003
+
+
+def test_mls_session_calibrates(tmp_path):
+    path = capture_short(tmp_path, "mls", signal={"kind": "mls", "gap_s": 0.3})
+    shell("rig-calibrate", path, cwd=tmp_path)
+    assert result_of(tmp_path / "mls.calib.yaml")["evaluation"]["rmse_m"] < 0.003
+
+
+def test_known_reference_microphone_serves_ours_3(tmp_path):
+    audio = {"reference_microphone": {"channel": 9, "position_m": (0.05, 0.12, 0.02)}}
+    path = capture_short(tmp_path, "nine", audio=audio, signal={"gap_s": 0.4})
+    said = [
+        run("rig-calibrate", calibrate_command, [str(path), "--method", "ours-3", "--seed", str(seed), "--overwrite"])
+        for seed in range(4)
+    ]
+    assert 0 in said
+    shell("rig-calibrate", path, "--method", "joint", "--overwrite", cwd=tmp_path)
+    assert result_of(tmp_path / "nine.calib.yaml")["evaluation"]["rmse_m"] < 0.003
+
+
+def test_a_dead_channel_is_named_and_can_be_left_out(tmp_path):
+    path = capture_short(tmp_path, "dead", simulation={"faults": [{"kind": "dead_channel", "channel": 3}]})
+    said = shell("rig-calibrate", path, exit_code=5, cwd=tmp_path)
+    assert "channel 3" in said
+    assert not (tmp_path / "dead.calib.yaml").exists()
+    shell("rig-calibrate", path, "--exclude-channel", 3, cwd=tmp_path)
+    assert len(result_of(tmp_path / "dead.calib.yaml")["microphones"]) == 7
+
+
+def test_a_silent_buzzer_costs_only_its_emissions(tmp_path):
+    path = capture_short(tmp_path, "silent", simulation={"faults": [{"kind": "silent_buzzer", "buzzer": 2}]})
+    shell("rig-calibrate", path, cwd=tmp_path)
+    result = result_of(tmp_path / "silent.calib.yaml")
+    assert result["residual"]["n_used"] <= 8 * 5 * 28
+    assert result["evaluation"]["rmse_m"] < 0.003
+
+
+def test_lost_samples_do_no_harm(tmp_path):
+    path = capture_short(tmp_path, "gap", simulation={"faults": [{"kind": "audio_overflow", "pose": 2}]})
+    shell("rig-calibrate", path, cwd=tmp_path)
+    assert result_of(tmp_path / "gap.calib.yaml")["evaluation"]["rmse_m"] < 0.003
+
+
+def test_not_a_number_in_audio_is_named(session):
+    with Session.open(session) as opened:
+        first = int(opened.emissions["expected_sample"][0])
+    with h5py.File(session, "r+") as file:
+        file["time_data"][first : first + 2000, 4] = np.nan
+    said = shell("rig-calibrate", session, cwd=session.parent)
+    assert "not numbers" in said
+    assert result_of(session.with_suffix(".calib.yaml"))["evaluation"]["rmse_m"] < 0.003
+
+
+def test_audio_of_nothing_but_nan_is_refused(session):
+    with h5py.File(session, "r+") as file:
+        file["time_data"][:] = np.nan
+    assert "heard by any microphone" in shell("rig-calibrate", session, exit_code=5, cwd=session.parent)
+
+
+def test_pictures_without_a_board_are_refused(session):
+    """The rig description of the session names another board than its pictures show."""
+    with h5py.File(session, "r+") as file:
+        text = file["rig/description"][:].tobytes().replace(b"- 9\n  - 6\n", b"- 8\n  - 5\n")
+        assert b"- 8\n  - 5\n" in text
+        file["rig/description"][:] = np.frombuffer(text, np.uint8)
+        file["rig/description"].attrs["sha256"] = np.bytes_(hashlib.sha256(text).hexdigest())
+    said = shell("rig-calibrate", session, exit_code=5, cwd=session.parent)
+    assert "the board was found standing still in" in said
+
+
+@pytest.mark.parametrize("script", ["rig-capture", "rig-calibrate", "rig-session"])
+def test_scripts_explain_themselves(tmp_path, script):
+    assert "Usage: " + script in shell(script, "--help", cwd=tmp_path)
+    assert "Error" in shell(script, "--no-such-option", exit_code=2, cwd=tmp_path)
