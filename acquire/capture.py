@@ -76,7 +76,8 @@ def capture(
         try:
             Poses(recording, description).capture_all()
         except CaptureError as error:
-            _end(recording, _end_state(error), "error", str(error))
+            level = "info" if isinstance(error, InterruptedCaptureError) else "error"
+            _end(recording, _end_state(error), level, str(error))
             raise type(error)(f"{error}; {saved_line(status)}") from error
         _end(recording, State.FINISHED, "info", saved_line(status))
     return status
