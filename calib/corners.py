@@ -72,7 +72,7 @@ def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
     board, still_px = session.description.board, session.description.capture.still_px
     frames = np.flatnonzero(np.isin(session.frames["pose"], accepted))
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV lets go of the interpreter lock
-        seen = list(pool.map(lambda picture: find_corners(picture, board), map(session.picture, frames.tolist())))
+        seen = list(pool.map(lambda frame: find_corners(session.picture(frame), board), frames.tolist()))
     poses, corners, warnings = [], [], []
     for pose in accepted:
         views = [view for frame, view in zip(frames, seen, strict=True) if session.frames["pose"][frame] == pose

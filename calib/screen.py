@@ -19,8 +19,10 @@ def show(result: Calibration, path: Path, console: Console) -> None:
     """Print the microphones, how well they fit, and what to doubt."""
     console.print(_microphone_table(result))
     console.print(_fit_table(result))
+    console.print()
     if result.evaluation is not None:
         console.print(_evaluation_table(result.evaluation))
+        console.print()
     for warning in result.warnings:
         console.print(_warning(warning))
     console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
