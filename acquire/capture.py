@@ -20,9 +20,10 @@ from acquire.screen import Screen
 from acquire.status import State, Status
 from rigs import __version__
 from rigs.description import RigDescription
-from rigs.errors import SessionError, TargetExistsError
+from rigs.errors import SessionWriteError
 from rigs.library import FoundDescription
 from rigs.session.writer import SessionWriter
+from rigs.target import check_target
 
 
 def capture(
@@ -56,10 +57,10 @@ def capture(
 
     Raises
     ------
-    rigs.errors.TargetExistsError
-        The file is there already; no device was touched.
-    rigs.errors.RigError
-        The file cannot be made or written.
+    rigs.errors.TargetError
+        The file is there already, or cannot be made; no device was touched.
+    rigs.errors.SessionWriteError
+        The disk is full or lost; what was flushed before is kept.
     DeviceError, FirmwareError
         A device is missing or was lost; as for all errors below, what came before is saved in a closed file.
     CaptureQualityError
@@ -67,7 +68,7 @@ def capture(
     InterruptedCaptureError
         Somebody wanted it to end.
     """
-    refuse_bad_target(path)
+    check_target(path)
     description = _with_poses(found.description, poses)
     rig = choose_devices(description, seed=seed)
     with _opened(rig) as versions, _new_session(path, found, rig, versions) as writer:
@@ -75,28 +76,14 @@ def capture(
         recording = Recording(rig, writer, description, screen, status, stop_wanted)
         try:
             Poses(recording, description).capture_all()
+        except SessionWriteError as error:
+            raise SessionWriteError(f"{error}; {saved_line(status)}") from error
         except CaptureError as error:
             level = "info" if isinstance(error, InterruptedCaptureError) else "error"
             _end(recording, _end_state(error), level, str(error))
             raise type(error)(f"{error}; {saved_line(status)}") from error
         _end(recording, State.FINISHED, "info", saved_line(status))
     return status
-
-
-def refuse_bad_target(path: Path) -> None:
-    """Refuse early what the writer would refuse after the devices were opened.
-
-    Raises
-    ------
-    rigs.errors.TargetExistsError
-        There is something at `path`.
-    rigs.errors.SessionError
-        There is no such folder.
-    """
-    if path.exists() or path.is_symlink():
-        raise TargetExistsError(f"{path}: there is already something of this name: choose another name")
-    if not path.parent.is_dir():
-        raise SessionError(f"{path}: there is no folder {path.parent}: make it first, or name another")
 
 
 def saved_line(status: Status) -> str:

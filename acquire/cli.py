@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,11 @@ from rigs.command import run
 
 if TYPE_CHECKING:
     from rigs.library import FoundDescription
+
+_TONE_WARNING = (
+    "warning: signal.kind tone: arrivals of a steady tone are ambiguous, and rig-calibrate takes none of them; "
+    "use sweep or mls"
+)
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -37,26 +43,30 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None) -> 
     """
     from rich.console import Console  # these, HDF5, OpenCV and pydantic would slow down --help
 
-    from acquire.capture import capture, refuse_bad_target
+    from acquire.capture import capture
     from acquire.interrupt import stop_on_signals
     from acquire.screen import screen_for
     from rigs.library import find_description
+    from rigs.target import check_target
 
-    path = session if session.suffix == ".h5" else session.with_name(f"{session.name}.h5")
-    refuse_bad_target(path)
+    path = session if session.suffix == ".h5" or not session.name else session.with_name(f"{session.name}.h5")
+    check_target(path)
     found = find_description(rig)
     console = Console(highlight=False)
     console.print(_rig_line(found), soft_wrap=True, markup=False)
+    if found.description.signal.kind == "tone":
+        console.print(_TONE_WARNING, soft_wrap=True, markup=False)
     with stop_on_signals() as stop_wanted, screen_for(console) as screen:
         capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted)
-    console.print(f"next: rig-calibrate {path}", soft_wrap=True, markup=False)
+    with suppress(SystemExit):  # rich's answer to a broken pipe: nobody reads this any more
+        console.print(f"next: rig-calibrate {path}", soft_wrap=True, markup=False)
     return 0
 
 
 def _rig_line(found: FoundDescription) -> str:
     why = f"named by {found.how}" if found.how in ("--rig", "RIG") else f"found as {found.how}"
     if found.how == "default":
-        why = "the default, as neither --rig, RIG, ./rig.yaml nor the user's config folder names another"
+        why = "the default, as nothing else is named by --rig, RIG, ./rig.yaml or your config folder"
     return f"rig {found.description.name}, from {found.where}: {why}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -52,9 +53,10 @@ class PlainScreen:
         """Show nothing: lines tell events only."""
 
     def say(self, message: Message) -> None:
-        """Print one line."""
+        """Print one line; where nobody reads any more, be silent rather than end the capture."""
         mark = "" if message.level == "info" else f"{message.level}: "
-        self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
+        with suppress(SystemExit):  # rich's answer to a broken pipe
+            self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
 
 
 class LiveScreen:
@@ -103,8 +105,10 @@ def picture(status: Status, width: int, height: int) -> RenderableType:
     rows = max(4, min(len(status.channels), height - _LINES_BESIDE_METERS))
     n_messages = max(height - _LINES_BESIDE_METERS - rows + 5, 3)
     blank = Text("")
-    now = Text.assemble(("Now  ", "dim"), (status.advice, "bold"), no_wrap=True, overflow="ellipsis")
-    parts: list[RenderableType] = [_header(status, width), _progress(status, width), _meters(status, width, rows)]
+    now = Text.assemble(("Now      ", "dim"), (status.advice, "bold"), no_wrap=True, overflow="crop")
+    board = Text.assemble(("Board    ", "dim"), status.board, no_wrap=True, overflow="crop")
+    progress = Group(_progress(status, width), board)
+    parts: list[RenderableType] = [_header(status, width), progress, _meters(status, width, rows)]
     parts += [now] if status.advice else []
     parts.append(_messages(status, n_messages))
     return Cropped(Group(*(line for part in parts for line in (part, blank))), height - _LINES_LEFT_FREE)
@@ -143,12 +147,15 @@ def _progress(status: Status, width: int) -> Table:
     style = "green" if status.state is State.FINISHED else "cyan"
     saved = ProgressBar(status.poses, status.saved, width=bar_width, complete_style=style, finished_style=style)
     fired = ProgressBar(
-        status.n_emissions, status.emission, width=bar_width, complete_style=style, finished_style=style
+        status.n_emissions,
+        status.emission if status.buzzer is not None else 0,
+        width=bar_width,
+        complete_style=style,
+        finished_style=style,
     )
     buzzer = "-" if status.buzzer is None else f"{status.buzzer} ({status.emission} of {status.n_emissions})"
     grid.add_row("Poses", f"{status.saved} of {status.poses} saved", saved)
     grid.add_row("Buzzer", buzzer, fired)
-    grid.add_row("Board", Text(status.board, overflow="ellipsis"))
     return grid
 
 

@@ -16,7 +16,6 @@ from rigs.geometry import Pose
 
 FloatArray = NDArray[np.float64]
 
-MIN_PICTURES = 6
 GOOD_RMS_PX = 0.5
 
 
@@ -49,7 +48,7 @@ def look(camera: Camera, board: Board, corners: PoseCorners) -> View:
     Raises
     ------
     NotEnoughDataError
-        Too few pictures for intrinsics, or no pose could be found.
+        No pose could be found.
     """
     if isinstance(camera.intrinsics, Intrinsics):
         intrinsics, source = camera.intrinsics, "rig description"
@@ -68,17 +67,7 @@ def estimate_intrinsics(corners_px: FloatArray, board: Board, size_px: tuple[int
     """Find focal lengths, principal point and distortion (k1, k2, p1, p2; k3 = 0) from corners (n, n_corners, 2).
 
     Source: Z. Zhang, IEEE TPAMI 22 (2000) 1330, doi:10.1109/34.888718, as OpenCV has it.
-
-    Raises
-    ------
-    NotEnoughDataError
-        Fewer than MIN_PICTURES poses.
     """
-    if len(corners_px) < MIN_PICTURES:
-        raise NotEnoughDataError(
-            f"{len(corners_px)} board poses are too few to find the camera's intrinsics, at least {MIN_PICTURES} are "
-            "needed: capture more poses, or give camera.intrinsics in the rig description"
-        )
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(corners_px).all(axis=2))
     points = [board_corners_m(board)[view].astype(np.float32) for view in seen]
     pixels = [view_px[view].astype(np.float32) for view_px, view in zip(corners_px, seen, strict=True)]

@@ -44,23 +44,24 @@ def command(
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
     Writes SESSION.calib.yaml beside the session, which itself is never changed. Exit codes: 0 good, 2 usage,
-    5 data not good enough.
+    5 data missing, damaged or not good enough, 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
     from calib.methods import Settings
     from calib.pipeline import calibrate
-    from calib.result import refuse_existing, write_calibration
+    from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from rigs.session.reader import Session
 
     target = output or session.with_suffix(".calib.yaml")
-    if not overwrite:
-        refuse_existing(target)
-    with Session.open(session) as opened:
-        result = calibrate(opened, Settings(method, seed, reference, exclude_channel))
+    console = Console()
+    with Session.open(session) as opened, console.status("opening") as status:
+        check_result_target(target, overwrite=overwrite)
+        settings = Settings(method, seed, reference, exclude_channel)
+        result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
-    show(result, target, Console())
+    show(result, target, console)
 
 
 def main() -> int:

@@ -16,6 +16,7 @@ from rigs.session.reader import Session
 FloatArray = NDArray[np.float64]
 
 MIN_POSES = 4
+MIN_POSES_FOR_INTRINSICS = 6
 
 
 @dataclass(frozen=True)
@@ -50,16 +51,20 @@ def find_pose_corners(session: Session) -> PoseCorners:
         The session has too few poses, or the board was found in too few of them.
     """
     accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
-    if len(accepted) < MIN_POSES:
+    needed, note = MIN_POSES, ""
+    if session.description.camera.intrinsics == "from session":
+        needed, note = MIN_POSES_FOR_INTRINSICS, f" ({MIN_POSES} with camera.intrinsics in the rig description)"
+    if len(accepted) < needed:
         raise NotEnoughDataError(
-            f"the session has {len(accepted)} accepted poses, at least {MIN_POSES} are needed: capture more poses"
+            f"the session has {len(accepted)} accepted poses, at least {needed} are needed{note}: capture a session "
+            "with more, 25 are good"
         )
     measured = session.corners_px
     found = _measured_corners(measured, accepted) if measured is not None else _seen_corners(session, accepted)
-    if len(found.pose) < MIN_POSES:
+    if len(found.pose) < needed:
         raise NotEnoughDataError(
-            f"the board was found standing still in {len(found.pose)} of {len(accepted)} poses, at least {MIN_POSES} "
-            "are needed: check board.corners and board.pattern in the rig description, light and focus"
+            f"the board was found standing still in {len(found.pose)} of {len(accepted)} poses, at least {needed} "
+            f"are needed{note}: check board.corners and board.pattern in the rig description, light and focus"
         )
     return found
 

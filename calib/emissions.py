@@ -64,22 +64,27 @@ def measure_tdoas(session: Session) -> EmissionTdoas:
 def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArray, NDArray[np.int32], list[str]]:
     description, rate_hz = session.description, session.sample_rate_hz
     waveform, max_tdoa_s = description.signal.waveform(), description.calibration.max_tdoa_s
+    if waveform.kind == "tone":
+        raise NotEnoughDataError(
+            "a steady tone leaves arrivals ambiguous by whole periods, so no TDOA is measured in it: capture again "
+            "with signal.kind sweep or mls in the rig description"
+        )
     n_samples = round((SEARCH_BEFORE_S + waveform.duration_s + SEARCH_AFTER_S) * rate_hz)
     compressor = PulseCompressor(waveform, rate_hz, n_samples, max_tdoa_s)
     columns = np.array(list(combinations(range(session.n_channels), 2)), dtype=np.int32)
     tdoa_s = np.full((len(emissions), len(columns)), np.nan)
     heard = np.zeros((len(emissions), session.n_channels), dtype=bool)
+    clipped = np.zeros_like(heard)
     n_flawed = 0
     for row, emission in enumerate(emissions):
         window = _window(session, int(emission["expected_sample"]) - round(SEARCH_BEFORE_S * rate_hz), n_samples)
         flawed = ~np.isfinite(window).all(axis=0)
         n_flawed += int(flawed.any())
+        clipped[row] = (np.abs(np.where(flawed, 0, window)) >= description.capture.clip_level).any(axis=0)
         tdoa_s[row], heard[row] = _tdoas_of(np.where(flawed, np.float32(0), window), compressor, columns)
-    warnings = _unheard_channels(heard, session.channels)
+    warnings = _unheard_channels(heard, session.channels) + _clipped_channels(clipped, session.channels)
     if n_flawed:
         warnings.append(f"{n_flawed} emissions have samples that are not numbers; those channels were left out there")
-    if waveform.kind == "tone":
-        warnings.append("a steady tone leaves TDOAs ambiguous by whole periods: use signal kind sweep or mls")
     return tdoa_s, np.array(session.channels, dtype=np.int32)[columns], warnings
 
 
@@ -121,3 +126,11 @@ def _unheard_channels(heard: NDArray[np.bool_], channels: tuple[int, ...]) -> li
         for channel, share in zip(channels, shares, strict=True)
         if 0 < share < 0.9
     ] + [f"channel {channel} heard none of the emissions" for channel in deaf]
+
+
+def _clipped_channels(clipped: NDArray[np.bool_], channels: tuple[int, ...]) -> list[str]:
+    return [
+        f"channel {channel} clipped in {share:.0%} of the emissions: turn its gain down and capture again"
+        for channel, share in zip(channels, clipped.mean(axis=0), strict=True)
+        if share > 0.02
+    ]

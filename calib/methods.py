@@ -63,6 +63,8 @@ def microphone_channels(description: RigDescription, settings: Settings) -> tupl
             raise MethodError(
                 f"channel {channel} is not a microphone of this rig: it has {', '.join(map(str, channels))}"
             )
+    if reference is not None and settings.method != "ours-1":
+        raise MethodError(f"{settings.method} has no reference microphone: leave --reference out, or take ours-1")
     if reference in settings.excluded_channels:
         raise MethodError(f"channel {reference} cannot be both the reference and left out")
     left = tuple(channel for channel in channels if channel not in settings.excluded_channels)
@@ -167,7 +169,10 @@ def _chosen_pairs(
         "ours-3": (with_known, n_mics),
     }[settings.method]
     if settings.method == "ours-3" and not known:
-        raise MethodError("ours-3 needs a microphone at a known place: add audio.reference_microphone to the rig")
+        raise MethodError(
+            "ours-3 needs a microphone at a known place, and this session has none: capture with "
+            "audio.reference_microphone in the rig description, or import with --problem 8"
+        )
     if int(chosen.sum()) < needed:
         raise MethodError(
             f"{settings.method} needs {needed} pairs of microphones, the session has {int(chosen.sum())} that fit: "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +23,8 @@ LARGE_STD_M = 0.005
 DOUBTFUL_SIGMAS = 2.0
 
 
-def calibrate(session: Session, settings: Settings) -> Calibration:
-    """Find every microphone of a session in the camera frame.
+def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] = lambda _: None) -> Calibration:
+    """Find every microphone of a session in the camera frame; `tell` is called with each step's name.
 
     Raises
     ------
@@ -31,9 +33,14 @@ def calibrate(session: Session, settings: Settings) -> Calibration:
     """
     description = session.description
     channels = microphone_channels(description, settings)
-    measured = Measurements(description, find_pose_corners(session), measure_tdoas(session), settings)
+    tell("finding the board in the pictures")
+    corners = find_pose_corners(session)
+    tell("measuring arrivals in the sound")
+    measured = Measurements(description, corners, measure_tdoas(session), settings)
     check_heard(measured.problem, channels)
+    tell("solving")
     solution = solve(measured.problem, description, settings)
+    tell("solving again and again for the standard deviations")
     covariance = measured.covariance(solution)
     covariance_m2 = np.array([covariance[mic : mic + 3, mic : mic + 3] for mic in range(0, 3 * len(channels), 3)])
     return Calibration(

@@ -17,6 +17,7 @@ from calib.evaluation import Evaluation
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
+from rigs.target import check_target
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class Calibration:
         Camera frame.
     covariance_m2 : (n_mics, 3, 3) array
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
-        The standard deviation is 0 where the method holds the speed.
+        Where the method holds the speed, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
     residual : Residual
@@ -125,11 +126,12 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
 
     Raises
     ------
-    TargetExistsError
-        The file is there and `overwrite` was not asked for.
+    TargetError
+        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder.
     OSError
         The folder cannot be written to.
     """
+    check_result_target(path, overwrite=overwrite)
     text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
@@ -141,12 +143,16 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
         Path(temporary).unlink(missing_ok=True)
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise TargetExistsError where a file that would be written is already there."""
-    if path.exists():
-        raise TargetExistsError(
-            f"{path}: already there, and nothing is written over: add --overwrite, or name another --output"
-        )
+def check_result_target(path: Path, *, overwrite: bool) -> None:
+    """Refuse early what `write_calibration` would refuse; only an earlier result is ever written over.
+
+    Raises
+    ------
+    TargetError
+    """
+    if path.exists() and not overwrite:
+        raise TargetExistsError(f"{path}: already there: add --overwrite, or name another --output")
+    check_target(path, replaces="calibration" if overwrite else None)
 
 
 def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
@@ -155,8 +161,8 @@ def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
         return
     try:
         path.hardlink_to(temporary)  # fails where the name is taken, even by a racing run
-    except FileExistsError:
-        refuse_existing(path)
+    except FileExistsError as error:
+        raise TargetExistsError(f"{path}: there is already something of this name: add --overwrite") from error
 
 
 def _rounded(values: Any, digits: int) -> Any:

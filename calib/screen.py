@@ -14,9 +14,12 @@ from rich.text import Text
 from calib.evaluation import Evaluation
 from calib.result import Calibration
 
+NARROWEST = 76
+
 
 def show(result: Calibration, path: Path, console: Console) -> None:
     """Print the microphones, how well they fit, and what to doubt."""
+    console.width = max(console.width, NARROWEST)  # a number cut short would be worse than a wrapped line
     console.print(_microphone_table(result))
     console.print(_fit_table(result))
     console.print()
@@ -50,8 +53,12 @@ def _microphone_table(result: Calibration) -> Table:
 def _fit_table(result: Calibration) -> Table:
     residual, view = result.residual, result.view
     speed = f"{result.speed_of_sound_m_s:.2f} m/s"
-    held = result.speed_of_sound_std_m_s == 0
-    speed += " (held)" if held else f" +- {result.speed_of_sound_std_m_s:.2f}"
+    held = result.method != "joint"
+    speed += (
+        f" held, known to +- {result.speed_of_sound_std_m_s:.2f}"
+        if held
+        else f" +- {result.speed_of_sound_std_m_s:.2f}"
+    )
     total = residual.n_used + residual.n_rejected
     focal = ", ".join(f"{value:.1f}" for value in view.intrinsics.focal_px)
     return _pairs_table(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -42,6 +43,9 @@ def run(name: str, command: click.Command, arguments: Sequence[str] | None = Non
         The `exit_code` of the project's own errors, 2 for wrong usage and what the system refuses, 130 when
         interrupted, 1 for a fault in this software (its traceback is shown when RIG_TRACEBACK is set).
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a sign gets a question mark
+            stream.reconfigure(errors="replace")
     try:
         outcome = command.main(args=arguments, prog_name=name, standalone_mode=False)
     except click.ClickException as error:

@@ -169,6 +169,9 @@ class Board(Section):
         twice = sorted({number for number in ids if ids.count(number) > 1})
         if twice:
             raise ValueError(f"buzzer {twice[0]} is listed twice: give each buzzer an id of its own")
+        places = [buzzer.position_m for buzzer in self.buzzers]
+        if len(set(places)) < len(places):
+            raise ValueError("two buzzers are at the same place: measure each one's own")
         if self.pattern == "checkerboard" and (self.corners[0] + self.corners[1]) % 2 == 0:
             raise ValueError(
                 f"a checkerboard of {self.corners[0]} x {self.corners[1]} corners looks the same upside down: "
@@ -282,7 +285,7 @@ class Medium(Section):
 class Capture(Section):
     """How a session is captured and what makes a pose or an emission good."""
 
-    poses: int = Field(25, ge=1, le=10000)
+    poses: int = Field(25, ge=1, le=10000, strict=True)
     still_px: float = Field(
         0.3, gt=0, le=10, description="how far a still board may move between frames, root mean square of its corners"
     )
@@ -328,6 +331,14 @@ class Fault(Section):
     channel: Channel | None = Field(None, description="dead_channel, loud_channel: which")
     buzzer: int | None = Field(None, ge=1, le=255, description="silent_buzzer: which")
     pose: int = Field(0, ge=0, description="the first pose (counted from 0) at which it happens")
+
+    @model_validator(mode="after")
+    def _names_what_it_hits(self) -> Fault:
+        if self.kind in ("dead_channel", "loud_channel") and self.channel is None:
+            raise ValueError(f"fault {self.kind} needs a channel: add 'channel: 3'")
+        if self.kind == "silent_buzzer" and self.buzzer is None:
+            raise ValueError("fault silent_buzzer needs a buzzer: add 'buzzer: 2'")
+        return self
 
 
 class Simulation(Section):

@@ -20,7 +20,11 @@ class DescriptionError(RigError):
     """A rig description is missing, cannot be read, or says something impossible."""
 
 
-class TargetExistsError(RigError):
+class TargetError(RigError):
+    """A file that would be written cannot be: not a file's name, or no such folder."""
+
+
+class TargetExistsError(TargetError):
     """A file that would be written is already there; nothing is ever written over unasked."""
 
 
@@ -28,6 +32,12 @@ class SessionError(RigError):
     """A session file is missing, foreign, damaged, or lacks what is asked of it."""
 
     exit_code = 5
+
+
+class SessionWriteError(SessionError):
+    """The disk is full, or lost, while a session is written; what was flushed before is kept."""
+
+    exit_code = 3
 
 
 class ImportFormatError(RigError):

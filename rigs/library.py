@@ -145,7 +145,16 @@ def _read(path: Path) -> str:
     except OSError as error:
         raise DescriptionError(f"{path}: cannot be read ({error.strerror}): name the YAML file of your rig") from error
     except UnicodeDecodeError as error:
-        raise DescriptionError(f"{path}: not UTF-8 text: name the YAML file of your rig") from error
+        raise DescriptionError(f"{path}: not UTF-8 text: save it as UTF-8 in your editor") from error
+
+
+def _yaml_remedy(error: yaml.MarkedYAMLError) -> str:
+    problem = error.problem or error.context or "not YAML"
+    if "'\\t'" in problem:
+        return "a tab: indent with spaces"
+    if type(error) is yaml.MarkedYAMLError:  # this module's own words
+        return problem
+    return f"{problem}: check here and on the lines above that each key is followed by ': ' and lines up with its group"
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -173,7 +182,7 @@ def _load_yaml(text: str, where: str) -> Any:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
-        raise DescriptionError(f"{place}: {error.problem or error.context}") from error
+        raise DescriptionError(f"{place}: {_yaml_remedy(error)}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DescriptionError(f"{where}: not YAML: {reason}") from error

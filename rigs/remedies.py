@@ -193,6 +193,6 @@ def _out_of_limits(kind: str, value: float, context: dict[str, Any], unit: str) 
     if unit in _OFTEN_MEANT:
         other_unit, factor = _OFTEN_MEANT[unit]
         converted = value * factor
-        if (abs(converted) < abs(limit) < abs(value)) or (0 < value < limit <= converted):
+        if (abs(converted) < abs(limit) and abs(value) >= 5 * abs(limit)) or (0 < value < limit <= converted):
             remedy = f"give {unit}, e.g. {converted:g} for {value:g} {other_unit}"
     return f"{value:g} {problem} {limit:g}: {remedy}"

@@ -9,7 +9,7 @@ from capturing import captured, small_rig, with_fault
 
 from acquire import errors
 from acquire.status import State
-from rigs.errors import SessionError, TargetExistsError
+from rigs.errors import TargetError, TargetExistsError
 from rigs.session.layout import FLAG_OVERFLOW
 from rigs.session.reader import Session
 
@@ -223,7 +223,7 @@ def test_an_existing_file_is_refused_before_anything_is_touched(tmp_path):
 
 
 def test_a_missing_folder_is_refused(tmp_path):
-    with pytest.raises(SessionError, match="no folder"):
+    with pytest.raises(TargetError, match="no folder"):
         captured(tmp_path / "nowhere" / "s.h5")
 
 

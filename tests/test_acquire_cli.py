@@ -50,7 +50,10 @@ def test_the_default_rig_is_named_as_such(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("RIG", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     assert rig_capture("--session", "s1.h5", "--poses", 1) == 0
-    assert "rig simulated, from simulated.yaml (shipped): the default, as neither --rig" in capsys.readouterr().out
+    assert (
+        "rig simulated, from simulated.yaml (shipped): the default, as nothing else is named by --rig"
+        in capsys.readouterr().out
+    )
 
 
 def test_an_existing_session_is_refused(tmp_path, rig_file, capsys):

@@ -79,11 +79,26 @@ def test_same_session_same_answer(session, tmp_path):
 
 def test_existing_result_is_kept(session, capsys):
     target = session.with_suffix(".calib.yaml")
-    target.write_text("precious")
+    target.write_text("format: acoustic-rig-calibration\n# precious")
     assert refused(capsys, session)[0] == 2
-    assert target.read_text() == "precious"
+    assert "precious" in target.read_text()
     assert calibrate(session, "--overwrite") == 0
     assert "precious" not in target.read_text()
+
+
+def test_overwrite_replaces_nothing_but_an_earlier_result(session, tmp_path, capsys):
+    before = session.read_bytes()
+    (tmp_path / "notes.txt").write_text("precious")
+    for target in (session, tmp_path / "notes.txt", tmp_path):
+        assert refused(capsys, session, "--overwrite", "-o", target)[0] == 2
+    assert session.read_bytes() == before
+    assert (tmp_path / "notes.txt").read_text() == "precious"
+
+
+def test_target_in_no_folder_is_refused(session, capsys):
+    exit_code, error = refused(capsys, session, "-o", session.parent / "nowhere" / "a.yaml")
+    assert exit_code == 2
+    assert "no folder" in error
 
 
 def test_excluded_channel_is_left_out(session):
@@ -91,6 +106,10 @@ def test_excluded_channel_is_left_out(session):
     result = yaml.safe_load(session.with_suffix(".calib.yaml").read_text())
     assert [mic["channel"] for mic in result["microphones"]] == [1, 2, 4, 5, 6, 7, 8]
     assert result["evaluation"]["rmse_m"] < 0.003
+
+
+def test_reference_is_for_ours_1_only(session, capsys):
+    assert refused(capsys, session, "--reference", 3)[0] == 2
 
 
 def test_reference_of_ours_1_can_be_chosen(session, capsys):
@@ -143,7 +162,7 @@ def test_too_few_poses(tmp_path, simulated_description, capsys, accepted):
     exit_code, error = refused(capsys, path)
     assert exit_code == 5
     assert f"{accepted} accepted poses" in error
-    assert "capture more" in error
+    assert "capture a session with more" in error
 
 
 def test_no_board_found(tmp_path, simulated_description, capsys):

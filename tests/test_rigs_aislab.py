@@ -148,11 +148,11 @@ def test_nothing_is_written_over_unasked(tmp_path):
 @needs_data
 def test_a_failed_import_leaves_the_old_file(tmp_path, copied):
     target = tmp_path / "mine.h5"
-    target.write_text("precious")
+    target.write_bytes(b"\x89HDF\r\n\x1a\nprecious")
     savemat(copied / "my_measurement_2_69_new.mat", {"measurement": np.zeros((414, 27))})
     with pytest.raises(ImportFormatError, match=r"measurement has the shape \(414, 27\), not \(414, 28\)"):
         import_aislab(copied, target, overwrite=True)
-    assert target.read_text() == "precious"
+    assert target.read_bytes() == b"\x89HDF\r\n\x1a\nprecious"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.h5", "published"]
 
 
@@ -176,7 +176,8 @@ def test_the_command_imports_and_says_what_comes_next(tmp_path):
     target = tmp_path / "aislab.h5"
     outcome = CliRunner().invoke(import_group, ["aislab", str(PUBLISHED), "-o", str(target), "--problem", "8"])
     assert outcome.exit_code == 0, outcome.output
-    assert f"69 poses, 414 emissions, 8 TDOAs each. Next: rig-calibrate {target}" in outcome.output
+    assert "69 poses, 414 emissions, 8 TDOAs each." in outcome.output
+    assert f"next: rig-calibrate {target} --method ours-3" in outcome.output
     with Session.open(target) as session:
         assert session.description.name == "aislab 8 TDOAs, layout B"
 
@@ -231,3 +232,11 @@ def test_poses_of_another_form_are_refused(tmp_path, location, said):
     savemat(tmp_path / "location.mat", {"location": location})
     with pytest.raises(ImportFormatError, match=said):
         read_poses(tmp_path)
+
+
+@needs_data
+def test_overwriting_never_touches_what_is_no_session(tmp_path, copied):
+    before = (copied / "location.mat").read_bytes()
+    with pytest.raises(TargetExistsError, match="not a session"):
+        import_aislab(copied, copied / "location.mat", overwrite=True)
+    assert (copied / "location.mat").read_bytes() == before

@@ -174,7 +174,7 @@ def test_the_speed_of_sound_comes_from_the_temperature_or_as_given():
         ("name: a\nname: b", "rig.yaml, line 2, column 1: key 'name' is given twice: keep one"),
         ("audio: {driver: a, driver: b}", "rig.yaml, line 1, column 20: key 'driver' is given twice"),
         ("a: b: c", "rig.yaml, line 1, column 5: mapping values are not allowed here"),
-        ("audio:\n\tdriver: x", "rig.yaml, line 2, column 1: found character '\\t' that cannot start any token"),
+        ("audio:\n\tdriver: x", "rig.yaml, line 2, column 1: a tab: indent with spaces"),
         ("a: &x [1]\nb: *x", "rig.yaml, line 2, column 4: aliases (*name) are not known here: write the value"),
         ("!!python/object/apply:os.getcwd []", "rig.yaml, line 1, column 1: could not determine a constructor"),
         ("{[1]: 2}", "rig.yaml, line 1, column 2: found unhashable key"),

@@ -28,7 +28,7 @@ from example_sessions import (
     write_session,
 )
 
-from rigs.errors import SessionError, TargetExistsError
+from rigs.errors import SessionError, TargetError, TargetExistsError
 from rigs.session import layout
 from rigs.session.reader import Session
 
@@ -267,7 +267,7 @@ def test_target_of_a_living_writer_is_refused(path):
 
 
 def test_missing_folder_is_named(tmp_path):
-    with pytest.raises(SessionError, match="there is no folder"):
+    with pytest.raises(TargetError, match="there is no folder"):
         new_session(tmp_path / "none" / "s.h5")
 
 

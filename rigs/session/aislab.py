@@ -23,6 +23,7 @@ from rigs.library import parse_description, shipped_rigs
 from rigs.session.aislab_files import N_BUZZERS, N_POSES, Problem, PublishedCamera, read_camera, read_poses, read_tdoas
 from rigs.session.layout import MeasuredTdoas, Truth
 from rigs.session.writer import SessionWriter
+from rigs.target import check_target
 
 FloatArray = NDArray[np.float64]
 Layout = Literal["A", "B"]
@@ -102,10 +103,9 @@ def corners_px(camera: PublishedCamera, board: Board) -> FloatArray:
 
 
 def _check_target(target: Path, *, overwrite: bool) -> None:
-    if not target.parent.is_dir():
-        raise RigError(f"{target}: there is no folder {target.parent}: make it first")
-    if target.is_dir() or (target.exists() and not overwrite):
+    if target.is_file() and not overwrite:
         raise TargetExistsError(f"{target}: exists already: name another file, or replace it with --overwrite")
+    check_target(target, replaces="session" if overwrite else None)
 
 
 def _description_text(camera: PublishedCamera, problem: Problem, layout: Layout, reference_m: FloatArray | None) -> str:

@@ -31,4 +31,6 @@ def aislab(folder: Path, output: Path, problem: str, layout: Literal["A", "B"] |
 
     n_tdoas: Literal[28, 7, 8] = 28 if problem == "28" else 7 if problem == "7" else 8
     import_aislab(folder, output, problem=n_tdoas, layout=layout, overwrite=overwrite)
-    click.echo(f"{output}: 69 poses, 414 emissions, {n_tdoas} TDOAs each. Next: rig-calibrate {output}")
+    method = {28: "ours-2", 7: "ours-1", 8: "ours-3"}[n_tdoas]
+    click.echo(f"{output}: 69 poses, 414 emissions, {n_tdoas} TDOAs each.")
+    click.echo(f"next: rig-calibrate {output} --method {method}, as in the paper, or without --method for joint")

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError, TargetExistsError, reason
+from rigs.errors import SessionError, SessionWriteError, TargetError, TargetExistsError, reason
 from rigs.session import layers, layout, picture
 from rigs.session.growing import GrowingStream, GrowingTable
 from rigs.session.layout import MeasuredTdoas, Truth
@@ -32,6 +32,7 @@ class SessionWriter:
 
     def __init__(self, file: h5py.File, path: Path, n_channels: int, sample_rate_hz: float) -> None:
         self._file, self._path, self._n_channels = file, path, n_channels
+        self._failure: SessionWriteError | None = None  # once the disk refused, every later call says so
         self._flush_interval_samples = round(_FLUSH_INTERVAL_S * sample_rate_hz)
         self._n_flushed_samples = 0
         self._time_data = GrowingStream(file, layout.TIME_DATA, "<f4", (n_channels,))
@@ -231,25 +232,28 @@ class SessionWriter:
 
     @contextmanager
     def _appending(self) -> Iterator[None]:
+        if self._failure is not None:
+            raise self._failure
         if not self._file:
             raise SessionError(f"{self._path}: this session is closed; nothing can be added to it")
         try:
             with _writing(self._path):
                 yield
-        except SessionError:
+        except SessionWriteError as failure:
+            self._failure = failure
             _abandon(self._file)
             raise
 
 
 def _create_file(path: Path) -> h5py.File:
     if not path.parent.is_dir():
-        raise SessionError(f"{path}: there is no folder {path.parent}: make it first, or name another")
+        raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
     try:
         return h5py.File(path, "x", libver=_LIBVER)
     except (OSError, ValueError) as error:
         if path.exists() or path.is_symlink():
             raise TargetExistsError(f"{path}: there is already something of this name: choose another name") from error
-        raise SessionError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
+        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
 
 
 @contextmanager
@@ -257,7 +261,7 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
-        raise SessionError(
+        raise SessionWriteError(
             f"{path}: cannot be written ({reason(error)}): free some space or use another disk; "
             "what was flushed before is kept"
         ) from error

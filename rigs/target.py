@@ -1,0 +1,40 @@
+"""A target: a file that a command is asked to write, refused early where it cannot or must not be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from rigs.errors import TargetError, TargetExistsError
+
+_BEGINNINGS = {"session": b"\x89HDF\r\n\x1a\n", "calibration": b"format: acoustic-rig-calibration"}
+
+
+def check_target(path: Path, *, replaces: Literal["session", "calibration"] | None = None) -> None:
+    """Refuse a target before any work is done for it.
+
+    Parameters
+    ----------
+    path : Path
+    replaces : {"session", "calibration"} or None
+        What an existing file must be to be written over, as its first bytes tell; None: nothing is.
+
+    Raises
+    ------
+    TargetError
+        Not the name of a file, or there is no such folder.
+    TargetExistsError
+        Something is there that must not be written over.
+    """
+    if path.name in ("", "..") or path.is_dir():
+        raise TargetError(f"{path}: a folder, not a file: name a file")
+    if not path.parent.is_dir():
+        raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
+    if not (path.exists() or path.is_symlink()):
+        return
+    if replaces is None:
+        raise TargetExistsError(f"{path}: there is already something of this name: choose another name")
+    with path.open("rb") as stream:
+        begins = stream.read(64)
+    if not begins.startswith(_BEGINNINGS[replaces]):
+        raise TargetExistsError(f"{path}: not a {replaces}, so not written over: choose another name")
