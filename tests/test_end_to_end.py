@@ -203,3 +203,48 @@ def test_pictures_without_a_board_are_refused(session):
 def test_scripts_explain_themselves(tmp_path, script):
     assert "Usage: " + script in shell(script, "--help", cwd=tmp_path)
     assert "Error" in shell(script, "--no-such-option", exit_code=2, cwd=tmp_path)
+
+
+def test_a_full_disk_is_named_with_what_was_saved(tmp_path, short_session):
+    """A limit on the file's size stands in for a full disk: the system refuses to write on either."""
+    shutil.copy(short_session.parent / "rig.yaml", tmp_path)
+    limit = short_session.stat().st_size // 2 // 1024
+    done = subprocess.run(
+        ["bash", "-c", f"ulimit -f {limit}; trap '' XFSZ; exec {BIN}/rig-capture --session full --seed 5"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 3
+    assert "cannot be written (File too large)" in done.stderr
+    assert "poses saved in full.h5" in done.stderr
+    with Session.open(tmp_path / "full.h5") as session:
+        assert (session.poses["accepted"] == 1).sum() >= 2
+
+
+def test_a_reader_that_goes_away_does_not_end_the_capture(tmp_path, short_session):
+    shutil.copy(short_session.parent / "rig.yaml", tmp_path)
+    capture = f"{BIN}/rig-capture --session piped --poses 2"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {capture} | head -1"], cwd=tmp_path, capture_output=True, text=True,
+        timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with Session.open(tmp_path / "piped.h5") as session:
+        assert session.complete
+        assert (session.poses["accepted"] == 1).sum() == 2
+
+
+def test_a_steady_tone_is_warned_of_and_refused(tmp_path):
+    path = capture_short(tmp_path, "tone", signal={"kind": "tone"}, capture={"poses": 6})
+    assert "steady tone" in shell("rig-calibrate", path, exit_code=5, cwd=tmp_path)
+
+
+def test_clipping_is_still_known_at_calibration(tmp_path):
+    path = capture_short(tmp_path, "loud", simulation={"faults": [{"kind": "loud_channel", "channel": 2}]})
+    assert "channel 2 clipped in 100% of the emissions" in shell("rig-calibrate", path, cwd=tmp_path)
+
+
+@pytest.mark.parametrize("session_name", [".", "..", "nowhere/s1"])
+def test_impossible_session_names_are_refused(tmp_path, session_name):
+    said = shell("rig-capture", "--session", session_name, exit_code=2, cwd=tmp_path)
+    assert said.startswith("rig-capture: ")
+    assert list(tmp_path.iterdir()) == []
