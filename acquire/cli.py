@@ -49,8 +49,8 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None) -> 
     from rigs.library import find_description
     from rigs.target import check_target
 
-    check_target(session)
-    path = session if session.suffix == ".h5" else session.with_name(f"{session.name}.h5")
+    named = session.name not in ("", "..") and session.suffix != ".h5"
+    path = session.with_name(f"{session.name}.h5") if named else session
     check_target(path)
     found = find_description(rig)
     console = Console(highlight=False)
