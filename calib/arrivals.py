@@ -59,6 +59,7 @@ class PulseCompressor:
         self.max_tdoa_samples = max_tdoa_s * sample_rate_hz
         self.whitening = Whitening(_usable_band_hz(waveform), sample_rate_hz)
         template = waveform.sampled(sample_rate_hz)
+        self._n_template = len(template)
         self._n_fft = next_fast_len(n_samples + len(template), real=True)
         spectrum = rfft(template, n=self._n_fft)
         power = np.abs(spectrum) ** 2
@@ -72,7 +73,9 @@ class PulseCompressor:
         pulses = pulses[:, : self.n_samples]
         envelopes = np.abs(hilbert(pulses, axis=1))
         peaks, ratios = self._first_strong_peaks(envelopes)
-        heard = ratios > MIN_PEAK_RATIO
+        before, after = GATE_BEFORE_S * self.sample_rate_hz, GATE_AFTER_S * self.sample_rate_hz
+        whole = (peaks >= before) & (peaks <= self.n_samples - self._n_template - after)
+        heard = (ratios > MIN_PEAK_RATIO) & whole  # an emission that the window cuts off may have begun earlier
         gated = np.where(heard[:, None], pulses * self._gates(peaks), 0.0)
         return Arrivals(np.where(heard, peaks, np.nan), ratios, gated)
 

@@ -16,8 +16,6 @@ from rigs.geometry import Pose
 
 FloatArray = NDArray[np.float64]
 
-GOOD_RMS_PX = 0.5
-
 
 @dataclass(frozen=True)
 class View:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 
 MIN_POSES = 4
 MIN_POSES_FOR_INTRINSICS = 6
+MIN_CORNERS = 8
+ABSURD_PX = 1e5
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,12 @@ def find_pose_corners(session: Session) -> PoseCorners:
             "with more, 25 are good"
         )
     measured = session.corners_px
-    found = _measured_corners(measured, accepted) if measured is not None else _seen_corners(session, accepted)
+    if measured is None:
+        found = _seen_corners(session, accepted)
+    else:
+        rows = session.poses["accepted"] == 1
+        found = PoseCorners(session.poses["pose"][rows], measured[rows])
+    found = _with_enough_corners(found)
     if len(found.pose) < needed:
         raise NotEnoughDataError(
             f"the board was found standing still in {len(found.pose)} of {len(accepted)} poses, at least {needed} "
@@ -69,8 +76,16 @@ def find_pose_corners(session: Session) -> PoseCorners:
     return found
 
 
-def _measured_corners(corners_px: FloatArray, accepted: list[int]) -> PoseCorners:
-    return PoseCorners(np.array(accepted, dtype=np.int32), corners_px[accepted])
+def _with_enough_corners(found: PoseCorners) -> PoseCorners:
+    sane = (np.abs(found.corners_px) < ABSURD_PX).all(axis=2, keepdims=True)  # NaN is not less
+    found = replace(found, corners_px=np.where(sane, found.corners_px, np.nan))
+    n_corners = sane.sum(axis=(1, 2))
+    warnings = [
+        f"pose {pose} left out: only {n} corners of the board were seen"
+        for pose, n in zip(found.pose, n_corners, strict=True)
+        if n < MIN_CORNERS
+    ]
+    return replace(found.only(n_corners >= MIN_CORNERS), warnings=[*found.warnings, *warnings])
 
 
 def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
@@ -90,5 +105,14 @@ def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
             warnings.append(f"pose {pose} left out: the board moved by {moved_px:.2f} px between its pictures")
             continue
         poses.append(pose)
-        corners.append(np.mean(views, axis=0))
-    return PoseCorners(np.array(poses, dtype=np.int32), np.array(corners), warnings)
+        corners.append(_mean_of_seen(np.array(views)))
+    shape = (-1, board.corners[0] * board.corners[1], 2)
+    return PoseCorners(np.array(poses, dtype=np.int32), np.array(corners).reshape(shape), warnings)
+
+
+def _mean_of_seen(views: FloatArray) -> FloatArray:
+    """Average corners (n_views, n_corners, 2) over the views that show them."""
+    seen = np.isfinite(views).all(axis=2, keepdims=True)
+    n_views = seen.sum(axis=0)
+    total = np.where(seen, views, 0.0).sum(axis=0)
+    return np.where(n_views > 0, total / np.maximum(n_views, 1), np.nan)

@@ -12,11 +12,12 @@ from calib.arrivals import PulseCompressor
 from calib.errors import NotEnoughDataError
 from calib.tdoa import gcc_phat
 from rigs.session.reader import Session
+from rigs.waveform import Waveform
 
 FloatArray = NDArray[np.float64]
 
-SEARCH_BEFORE_S = 0.06  # an emission may begin this much before it is expected
-SEARCH_AFTER_S = 0.06
+FLIGHT_S = 0.03  # sound takes that long over 10 m
+ABSURD_TDOA_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,9 @@ def measure_tdoas(session: Session) -> EmissionTdoas:
     emissions = session.emissions[rows]
     measured = session.tdoas
     if measured is not None:
-        return EmissionTdoas(emissions["pose"], emissions["buzzer"], measured.tdoa_s[rows], measured.pairs)
+        tdoa_s = measured.tdoa_s[rows]
+        tdoa_s = np.where(np.abs(tdoa_s) < ABSURD_TDOA_S, tdoa_s, np.nan)
+        return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs)
     tdoa_s, pairs, warnings = _from_sound(session, emissions)
     return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, pairs, warnings)
 
@@ -69,7 +72,9 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
             "a steady tone leaves arrivals ambiguous by whole periods, so no TDOA is measured in it: capture again "
             "with signal.kind sweep or mls in the rig description"
         )
-    n_samples = round((SEARCH_BEFORE_S + waveform.duration_s + SEARCH_AFTER_S) * rate_hz)
+    _check_waveform(emissions, waveform)
+    search_s = FLIGHT_S + description.capture.onset_tolerance_s
+    n_samples = round((2 * search_s + waveform.duration_s) * rate_hz)
     compressor = PulseCompressor(waveform, rate_hz, n_samples, max_tdoa_s)
     columns = np.array(list(combinations(range(session.n_channels), 2)), dtype=np.int32)
     tdoa_s = np.full((len(emissions), len(columns)), np.nan)
@@ -77,15 +82,36 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
     clipped = np.zeros_like(heard)
     n_flawed = 0
     for row, emission in enumerate(emissions):
-        window = _window(session, int(emission["expected_sample"]) - round(SEARCH_BEFORE_S * rate_hz), n_samples)
+        window = _window(session, int(emission["expected_sample"]) - round(search_s * rate_hz), n_samples)
         flawed = ~np.isfinite(window).all(axis=0)
         n_flawed += int(flawed.any())
         clipped[row] = (np.abs(np.where(flawed, 0, window)) >= description.capture.clip_level).any(axis=0)
         tdoa_s[row], heard[row] = _tdoas_of(np.where(flawed, np.float32(0), window), compressor, columns)
     warnings = _unheard_channels(heard, session.channels) + _clipped_channels(clipped, session.channels)
+    at_limit = float(np.mean(np.isnan(tdoa_s) & heard[:, columns].all(axis=2)))
+    if at_limit > 0.02:
+        warnings.append(
+            f"{at_limit:.0%} of the TDOAs lie beyond calibration.max_tdoa_s, {max_tdoa_s:g} s: raise it in the rig "
+            "description if microphones are further apart"
+        )
     if n_flawed:
         warnings.append(f"{n_flawed} emissions have samples that are not numbers; those channels were left out there")
     return tdoa_s, np.array(session.channels, dtype=np.int32)[columns], warnings
+
+
+def _check_waveform(emissions: NDArray[np.void], waveform: Waveform) -> None:
+    """Refuse emissions that were something else than the rig description says.
+
+    Raises
+    ------
+    NotEnoughDataError
+    """
+    played = {label.decode(errors="replace") for label in emissions["waveform"]}
+    if played != {waveform.label()}:
+        raise NotEnoughDataError(
+            f"the buzzers played {', '.join(sorted(played))}, the rig description says {waveform.label()}: capture "
+            "again with one signal"
+        )
 
 
 def _window(session: Session, first_sample: int, n_samples: int) -> NDArray[np.float32]:

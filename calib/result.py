@@ -163,6 +163,8 @@ def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
         path.hardlink_to(temporary)  # fails where the name is taken, even by a racing run
     except FileExistsError as error:
         raise TargetExistsError(f"{path}: there is already something of this name: add --overwrite") from error
+    except OSError:  # a file system without hard links
+        temporary.rename(path)
 
 
 def _rounded(values: Any, digits: int) -> Any:

@@ -25,6 +25,7 @@ FloatArray = NDArray[np.float64]
 
 N_DRAWS = 8
 DESCENT_ITERATIONS = 40
+MIN_COMMON_EMISSIONS, MAX_COMMON_EMISSIONS = 12, 200
 
 
 def find_start(problem: TdoaProblem, prior: SpeedPrior, seed: int) -> Estimate:
@@ -33,12 +34,14 @@ def find_start(problem: TdoaProblem, prior: SpeedPrior, seed: int) -> Estimate:
     Raises
     ------
     NotEnoughDataError
-        Too few emissions were heard by all microphones.
+        There is no TDOA at all.
     """
+    if not problem.present.any():
+        raise NotEnoughDataError("no TDOA was measured: check buzzers, gains and signal, and capture again")
     consensus = _consensus_problem(problem)
     reach_m = prior.mean_m_s * float(np.nanmax(np.abs(consensus.tdoa_s)))
     draws = np.random.default_rng(seed).uniform(-reach_m, reach_m, size=(N_DRAWS, problem.n_mics, 3))
-    candidates = [closed_form(consensus, prior.mean_m_s), *draws]
+    candidates = [*_closed_form_if_possible(consensus, prior.mean_m_s), *draws]
     held = SpeedPrior(prior.mean_m_s, 0.0)
     weights = consensus.present.astype(float)
     descents = [
@@ -55,23 +58,21 @@ def _consensus_problem(problem: TdoaProblem) -> TdoaProblem:
     return replace(problem, tdoa_s=consensus_tdoas(problem)[:, 1:], pairs=pairs)
 
 
-def closed_form(problem: TdoaProblem, speed_of_sound_m_s: float) -> FloatArray:
-    """Find all microphones (n_mics, 3) without a first guess.
+def _closed_form_if_possible(problem: TdoaProblem, speed_of_sound_m_s: float) -> list[FloatArray]:
+    """Return the closed form on evenly spread emissions (its cost is cubic in them), none if too few suit."""
+    heard = np.flatnonzero(np.isfinite(problem.tdoa_s).all(axis=1))
+    if len(heard) < MIN_COMMON_EMISSIONS:
+        return []
+    chosen = np.zeros(len(problem.tdoa_s), dtype=bool)
+    chosen[heard[np.linspace(0, len(heard) - 1, min(len(heard), MAX_COMMON_EMISSIONS)).astype(int)]] = True
+    return [closed_form(problem.only(chosen), speed_of_sound_m_s)]
 
-    Raises
-    ------
-    NotEnoughDataError
-        Too few emissions were heard by all microphones.
-    """
+
+def closed_form(problem: TdoaProblem, speed_of_sound_m_s: float) -> FloatArray:
+    """Find all microphones (n_mics, 3) without a first guess, from emissions that all of them heard."""
     ranges_m = speed_of_sound_m_s * consensus_tdoas(problem)[:, : problem.n_mics]
-    heard = np.isfinite(ranges_m).all(axis=1)
-    if heard.sum() < 6:
-        raise NotEnoughDataError(
-            f"only {heard.sum()} emissions were heard by every microphone, at least 6 are needed: capture more poses, "
-            "or leave a bad channel out with --exclude-channel"
-        )
-    differences_m, first_range_m = _linear_solution(problem.sources_m[heard], ranges_m[heard])
-    first_m = _trilaterate(problem.sources_m[heard], first_range_m)
+    differences_m, first_range_m = _linear_solution(problem.sources_m, ranges_m)
+    first_m = _trilaterate(problem.sources_m, first_range_m)
     return np.vstack([first_m, first_m + differences_m])
 
 

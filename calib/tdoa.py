@@ -53,7 +53,7 @@ def gcc_phat(
 
     Returns
     -------
-    (n_pairs,) array of lags in samples, arrival at j minus arrival at i.
+    (n_pairs,) array of lags in samples, arrival at j minus arrival at i; NaN where the highest point is at the edge.
     """
     spectra = _levelled_spectra(segments, whitening)
     n_fft = 2 * (spectra.shape[1] - 1)
@@ -77,10 +77,11 @@ def _levelled_spectra(segments: FloatArray, whitening: Whitening) -> FloatArray:
 
 
 def _peak_places(correlations: FloatArray) -> FloatArray:
-    """Return where each row is highest, refined by the parabola through three samples."""
+    """Return where each row is highest, refined by the parabola through three samples; NaN at an edge."""
     rows = np.arange(len(correlations))
-    peaks = np.clip(np.argmax(correlations, axis=1), 1, correlations.shape[1] - 2)
+    highest = np.argmax(correlations, axis=1)
+    peaks = np.clip(highest, 1, correlations.shape[1] - 2)
     before, at, after = (correlations[rows, peaks + offset] for offset in (-1, 0, 1))
     curvature = before - 2 * at + after
     shift = np.where(curvature < 0, 0.5 * (before - after) / np.where(curvature < 0, curvature, 1.0), 0.0)
-    return np.asarray(peaks + np.clip(shift, -1.0, 1.0))
+    return np.where(highest == peaks, peaks + np.clip(shift, -1.0, 1.0), np.nan)

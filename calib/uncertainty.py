@@ -4,8 +4,9 @@ Everything that a pose brings (its corners, its sound, its share in the camera's
 whole chain is solved again, so the spread of the answers contains every error that differs from pose to pose, whatever
 its law. Source: B. Efron and C. Stein, Ann. Statist. 9 (1981) 586, doi:10.1214/aos/1176345462.
 
-It cannot see what all poses share. Two such errors are known in size: those of the buzzers' places on the board and of
-the speed of sound. Their share is found by moving each by its standard deviation and solving again.
+It cannot see what all poses share. Such errors are known in size where the rig description states how well a value
+is known: buzzer places, square size, speed of sound, a known microphone's place. Their share is found by moving each
+by its standard deviation and solving again.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.description import Board, Medium, RigDescription
+from rigs.description import Audio, Board, Medium, RigDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -63,13 +64,24 @@ def descriptions_off_by_one_std(description: RigDescription) -> list[RigDescript
     """Return the rig descriptions in which one uncertain value is moved by its standard deviation."""
     board, medium = description.board, description.medium
     boards = [_with_moved_buzzer(board, number, axis) for number in range(len(board.buzzers)) for axis in range(3)]
+    boards.append(board.model_copy(update={"square_size_m": board.square_size_m + board.square_size_std_m}))
     faster = Medium(
         speed_of_sound_m_s=medium.speed_m_s() + medium.speed_std_m_s(), speed_of_sound_std_m_s=medium.speed_std_m_s()
     )
     return [
         *(description.model_copy(update={"board": moved}) for moved in boards),
+        *(description.model_copy(update={"audio": moved}) for moved in _with_moved_reference(description.audio)),
         description.model_copy(update={"medium": faster}),
     ]
+
+
+def _with_moved_reference(audio: Audio) -> list[Audio]:
+    reference = audio.reference_microphone
+    if reference is None:
+        return []
+    places_m = np.array(reference.position_m) + reference.position_std_m * np.eye(3)
+    moved = [reference.model_copy(update={"position_m": tuple(place_m.tolist())}) for place_m in places_m]
+    return [audio.model_copy(update={"reference_microphone": other}) for other in moved]
 
 
 def _with_moved_buzzer(board: Board, number: int, axis: int) -> Board:

@@ -41,6 +41,7 @@ class ReferenceMicrophone(Section):
 
     channel: Channel = Field(description="input channel of the device, counted from 1")
     position_m: Position = Field(description="place in the camera frame")
+    position_std_m: float = Field(0.001, ge=0, le=1, description="how well it is known: standard deviation per axis")
 
 
 class Audio(Section):
@@ -50,7 +51,7 @@ class Audio(Section):
     device: AudioDevice | None = Field(None, description="which device (driver portaudio)")
     sample_rate_hz: int = Field(48000, ge=8000, le=384000)
     channels: tuple[Channel, ...] = Field(
-        min_length=4, max_length=256, description="input channel of each microphone, counted from 1, microphone 1 first"
+        min_length=4, max_length=64, description="input channel of each microphone, counted from 1, microphone 1 first"
     )
     reference_microphone: ReferenceMicrophone | None = None
 
@@ -157,6 +158,9 @@ class Board(Section):
         description="inner corners: columns, rows"
     )
     square_size_m: Length = Field(description="side of a square in metres, measured on the printed board")
+    square_size_std_m: float = Field(
+        0.00002, ge=0, le=0.01, description="how well it is known: standard deviation (measure over many squares)"
+    )
     charuco: Charuco | None = None
     buzzers: tuple[Buzzer, ...] = Field(min_length=1, max_length=255)
     buzzer_std_m: float = Field(

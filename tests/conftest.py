@@ -64,13 +64,14 @@ def make_world(
     seed: int = 0,
     pairs: list[tuple[int, int]] | None = None,
     buzzer_errors_m: float = 0.0,
+    speed_m_s: float = SPEED_M_S,
 ) -> World:
     """Pose the problem of TDOAs from arrival times with Gaussian noise, and buzzers a little out of place."""
     poses = board_poses(n_poses, seed)
     sources_m = np.concatenate([pose.apply(BUZZERS_M) for pose in poses])
     sounding_m = BUZZERS_M + buzzer_errors_m * np.random.default_rng(seed + 2).standard_normal(BUZZERS_M.shape)
     sounding_m = np.concatenate([pose.apply(sounding_m) for pose in poses])
-    arrivals_s = np.linalg.norm(MICROPHONES_M - sounding_m[:, None], axis=2) / SPEED_M_S
+    arrivals_s = np.linalg.norm(MICROPHONES_M - sounding_m[:, None], axis=2) / speed_m_s
     arrivals_s += noise_s * np.random.default_rng(seed + 1).standard_normal(arrivals_s.shape)
     pair_rows = np.array(pairs or list(combinations(range(8), 2)), dtype=np.int32)
     problem = TdoaProblem(
@@ -81,7 +82,7 @@ def make_world(
         n_mics=8,
         known_m=np.zeros((0, 3)),
     )
-    return World(problem, poses, Estimate(MICROPHONES_M, SPEED_M_S))
+    return World(problem, poses, Estimate(MICROPHONES_M, speed_m_s))
 
 
 @pytest.fixture
@@ -108,16 +109,24 @@ def write_measured_session(
     corners_px: np.ndarray | None = None,
     accepted: int | None = None,
     seed: int = 0,
+    noise_s: float = 1e-6,
+    first_pose: int = 0,
+    wrong_scales: bool = False,
 ) -> Path:
-    """Write a session that starts at measured corners and TDOAs (0.05 px, 1 us); the first `accepted` poses count."""
+    """Write a session that starts at measured corners and TDOAs (0.05 px); the first `accepted` poses count."""
     errors_m = description.board.buzzer_std_m
-    world = make_world(n_poses=n_poses, noise_s=1e-6, pairs=pairs, seed=seed, buzzer_errors_m=errors_m)
+    wrong_c, wrong_square = np.random.default_rng(seed + 4).standard_normal(2) if wrong_scales else (0.0, 0.0)
+    speed_m_s = description.medium.speed_m_s() + wrong_c * description.medium.speed_std_m_s()
+    printed = description.board.square_size_m + wrong_square * description.board.square_size_std_m
+    world = make_world(
+        n_poses=n_poses, noise_s=noise_s, pairs=pairs, seed=seed, buzzer_errors_m=errors_m, speed_m_s=speed_m_s
+    )
     intrinsics = Intrinsics(focal_px=(940.0, 940.0), principal_px=(640.0, 360.0))
     described = description.model_copy(
         update={"camera": description.camera.model_copy(update={"intrinsics": intrinsics})}
     )
     if corners_px is None:
-        points_m = board_corners_m(description.board)
+        points_m = board_corners_m(description.board) * printed / description.board.square_size_m
         corners_px = np.array([project(points_m, pose, intrinsics) for pose in world.poses])
         corners_px += np.random.default_rng(seed + 3).normal(scale=0.05, size=corners_px.shape)
     channels = np.array(description.audio.channels, dtype=np.int32)
@@ -129,16 +138,18 @@ def write_measured_session(
         n_channels=len(channels),
         sample_rate_hz=48000.0,
         versions={"software": "tests"},
-        truth=Truth(MICROPHONES_M, "simulation", speed_of_sound_m_s=SPEED_M_S),
+        truth=Truth(MICROPHONES_M, "simulation", speed_of_sound_m_s=speed_m_s),
         corners_px=corners_px,
         tdoas=tdoas,
     ) as writer:
         for pose in range(n_poses):
             counts = accepted is None or pose < accepted
-            writer.append_pose(pose=pose, start_host_time_s=np.nan, end_host_time_s=np.nan, accepted=counts)
+            writer.append_pose(
+                pose=first_pose + pose, start_host_time_s=np.nan, end_host_time_s=np.nan, accepted=counts
+            )
             for buzzer in description.board.buzzers:
                 writer.append_emission(
-                    pose=pose,
+                    pose=first_pose + pose,
                     buzzer=buzzer.id,
                     repeat=0,
                     waveform="sweep",

@@ -22,6 +22,7 @@ def make_description(**sections: dict[str, Any]) -> RigDescription:
             "pattern": "checkerboard",
             "corners": (9, 6),
             "square_size_m": _SQUARE_M,
+            "square_size_std_m": 0.0,
             "buzzers": [{"id": number, "position_m": place} for number, place in enumerate(_BUZZERS, start=1)],
         },
         "trigger": {"driver": "simulated"},

@@ -40,7 +40,8 @@ def test_microphones_are_out_of_the_cameras_view():
 def test_the_reference_microphone_is_heard_last_and_no_unknown():
     reference = {"channel": 9, "position_m": (0.0, 0.1, 0.0)}
     scene = draw_scene(make_description(audio={"reference_microphone": reference}), 0)
-    assert scene.microphones_m[8].tolist() == [0.0, 0.1, 0.0]
+    error_m = np.linalg.norm(scene.microphones_m[8] - (0.0, 0.1, 0.0))
+    assert 0 < error_m < 0.005  # it is only known to a millimetre
     assert len(scene.truth().microphones_m) == 8
 
 

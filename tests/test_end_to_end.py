@@ -42,7 +42,7 @@ def result_of(path: Path) -> dict:
 def capture_short(folder: Path, name: str, **sections: dict) -> Path:
     """Capture 8 poses at 640 x 480 with a rig of the test's own."""
     changes = {
-        "board": {"buzzers": SIX_BUZZERS, "buzzer_std_m": 0.0001},
+        "board": {"buzzers": SIX_BUZZERS, "buzzer_std_m": 0.0001, "square_size_std_m": 0.000005},
         "camera": {"size_px": (640, 480)},
         "signal": {"gap_s": 0.2},
         "capture": {"poses": 8},

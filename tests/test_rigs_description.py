@@ -194,7 +194,7 @@ def test_each_kind_of_signal_says_what_the_buzzer_plays():
     mls = parse_description(changed(sweep_keys, "  kind: mls\n  order: 10\n"), "rig.yaml").signal.waveform()
     assert (mls.kind, mls.order, mls.band_hz()) == ("mls", 10, (0.0, 8000.0))
     assert math.isclose(mls.duration_s, 1023 / 16000)
-    tone = parse_description(shipped_rigs()["kinect8"], "kinect8").signal.waveform()
+    tone = parse_description(changed(sweep_keys, "  kind: tone\n"), "rig.yaml").signal.waveform()
     assert (tone.kind, tone.band_hz()) == ("tone", (4000.0, 4000.0))
     too_long = changed(sweep_keys, "  kind: mls\n  order: 13\n  chip_rate_hz: 8000\n")
     assert complaint(too_long).startswith("rig.yaml: signal: this sequence lasts 1.02 s, the board's limit is 0.5 s")

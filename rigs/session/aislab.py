@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from itertools import combinations
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -78,15 +79,11 @@ def import_aislab(
     reference_m = poses[0].apply(REFERENCE_ON_BOARD_M) if problem == 8 else None
     text = _description_text(camera, problem, layout or AUTHORS_LAYOUT[problem], reference_m)
     description = parse_description(text, "kinect8.yaml (shipped, as imported)")
-    partial = target.with_name(target.name + ".partial")
-    partial.unlink(missing_ok=True)
-    try:
-        _write(
-            partial, description, text, corners_px(camera, description.board), MeasuredTdoas(tdoa_s, _pairs(problem))
-        )
+    with TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as folder_beside:
+        partial = Path(folder_beside) / target.name
+        corners = corners_px(camera, description.board)
+        _write(partial, description, text, corners, MeasuredTdoas(tdoa_s, _pairs(problem)))
         partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def corners_px(camera: PublishedCamera, board: Board) -> FloatArray:
@@ -111,6 +108,7 @@ def _check_target(target: Path, *, overwrite: bool) -> None:
 def _description_text(camera: PublishedCamera, problem: Problem, layout: Layout, reference_m: FloatArray | None) -> str:
     rig: dict[str, Any] = yaml.safe_load(shipped_rigs()["kinect8"])
     rig["name"] = f"aislab {problem} TDOAs, layout {layout}"
+    rig["signal"] = {"kind": "tone", "gap_s": 0.4}  # the paper's; kinect8 ships a better one
     rig["camera"]["intrinsics"] = camera.intrinsics.model_dump(mode="json")
     rig["board"]["buzzers"] = [
         {"id": number, "position_m": [coordinate / 1000 for coordinate in place_mm]}

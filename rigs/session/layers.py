@@ -152,6 +152,9 @@ def read_truth(container: Container, description: RigDescription) -> Truth | Non
         for name, path in names.items()
         if path in container or name == "microphones_m"
     }
+    for name, values in found.items():
+        if not np.isfinite(values).all():
+            raise SessionError(f"{container.path}: {layout.TRUTH}/{name} holds values that are not numbers")
     if "speed_of_sound_m_s" in found:
         found["speed_of_sound_m_s"] = float(found["speed_of_sound_m_s"][0])
     return Truth(source=str(container.attribute(layout.TRUTH, "source") or "unknown"), **found)

@@ -75,7 +75,13 @@ class Judge:
 
     def poses(self, poses: Table) -> Table:
         """Return the poses that are counted from 0."""
-        return self._trusted(poses, poses["pose"] >= 0, lambda k: f"row {k} of poses has the number {poses['pose'][k]}")
+        number = poses["pose"]
+        first_of_its_number = np.zeros(len(number), dtype=bool)
+        first_of_its_number[np.unique(number, return_index=True)[1]] = True
+        good = (number >= 0) & first_of_its_number
+        return self._trusted(
+            poses, good, lambda k: f"row {k} of poses has the number {number[k]}, negative or a second time"
+        )
 
     def emissions(self, emissions: Table, poses: Table, description: RigDescription) -> Table:
         """Return the emissions of buzzers the rig has, in poses the session has."""

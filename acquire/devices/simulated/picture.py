@@ -22,7 +22,7 @@ class Painter:
     """Paints the scene's board into the picture by casting rays, several to a pixel."""
 
     def __init__(self, scene: Scene) -> None:
-        self._board = scene.description.board
+        self._board = scene.board
         self._intrinsics = scene.intrinsics
         self._size_px = scene.description.camera.size_px
         self._rays = pixel_rays(self._size_px, scene.intrinsics)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquire.devices.simulated.draws import draws
 from acquire.devices.simulated.placement import planned_pose
 from rigs.board import camera_matrix
-from rigs.description import Intrinsics, RigDescription
+from rigs.description import Board, Intrinsics, RigDescription
 from rigs.errors import DescriptionError
 from rigs.geometry import Pose, rotation_matrix
 from rigs.session.layout import Truth
@@ -38,6 +38,8 @@ class Scene:
     speed_of_sound_m_s : float
     camera_to_room : Pose
         Room frame: z up, one corner of the room is the origin.
+    board : Board
+        As it was printed: its squares are a little off.
     """
 
     description: RigDescription
@@ -47,11 +49,12 @@ class Scene:
     buzzers_m: FloatArray
     speed_of_sound_m_s: float
     camera_to_room: Pose
+    board: Board
 
     def planned_pose(self, pose: int) -> Pose:
         """Return `board_to_camera` of a planned pose, counted from 0; there is always one more."""
         description = self.description
-        return planned_pose(description.board, self.intrinsics, description.camera.size_px, self.seed, pose)
+        return planned_pose(self.board, self.intrinsics, description.camera.size_px, self.seed, pose)
 
     def truth(self) -> Truth:
         """Return what evaluation may know."""
@@ -86,6 +89,7 @@ def draw_scene(description: RigDescription, seed: int) -> Scene:
         places_m + description.board.buzzer_std_m * draws(seed, "buzzers").standard_normal(places_m.shape),
         medium.speed_m_s() + medium.speed_std_m_s() * float(draws(seed, "medium").standard_normal()),
         _draw_camera_to_room(np.array(description.simulation.room_size_m), seed),
+        _draw_board(description.board, seed),
     )
 
 
@@ -113,6 +117,11 @@ def _draw_intrinsics(description: RigDescription, seed: int) -> Intrinsics:
     )
 
 
+def _draw_board(board: Board, seed: int) -> Board:
+    error_m = board.square_size_std_m * float(draws(seed, "print").standard_normal())
+    return board.model_copy(update={"square_size_m": board.square_size_m + error_m})
+
+
 def _draw_microphones(description: RigDescription, seed: int) -> FloatArray:
     """Place the microphones at the corners of the frame, then on its sides, all out of the camera's view."""
     rng, n_mics = draws(seed, "microphones"), len(description.audio.channels)
@@ -121,7 +130,10 @@ def _draw_microphones(description: RigDescription, seed: int) -> FloatArray:
     nominal_m = _HALF_FRAME_M * np.concatenate([np.array(_CORNERS, dtype=float), extra])[:n_mics]
     places_m = nominal_m + _MICROPHONE_SPREAD_M * rng.standard_normal(nominal_m.shape)
     reference = description.audio.reference_microphone
-    return np.concatenate([places_m, [reference.position_m]]) if reference else places_m
+    if reference is None:
+        return places_m
+    error_m = reference.position_std_m * draws(seed, "reference").standard_normal(3)
+    return np.concatenate([places_m, [np.array(reference.position_m) + error_m]])
 
 
 def _draw_camera_to_room(size_m: FloatArray, seed: int) -> Pose:

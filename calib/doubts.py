@@ -1,0 +1,102 @@
+"""What makes an answer doubtful, said in words, with what to do about it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import View
+from calib.measurements import Measurements
+from calib.solve import Solution, SpeedPrior
+from rigs.session.reader import Session
+
+FloatArray = NDArray[np.float64]
+
+GOOD_RMS_PX = 0.5
+LARGE_STD_M = 0.005
+DOUBTFUL_SPEED_SIGMAS = 3.0
+USUAL_SIGMA_S = 0.5e-6  # of TDOAs measured in a room's sound
+LARGE_SIGMA_FACTOR = 3.0
+LARGE_REJECTED_SHARE = 0.05
+CULPRIT_SHARE = 0.5
+
+
+def session_doubts(session: Session) -> list[str]:
+    """Say what is wrong with the file: cut off, or not as it was written."""
+    doubts = list(session.verify())
+    if not session.complete:
+        doubts.insert(0, "the session was cut off, or is still being captured: only what was in the file then is used")
+    return doubts
+
+
+def view_doubts(view: View) -> list[str]:
+    """Say when corners do not fit the camera."""
+    if view.rms_px <= GOOD_RMS_PX:
+        return []
+    doubt = (
+        f"corners fit the camera to {view.rms_px:.2f} px only (good: under {GOOD_RMS_PX}): check focus, that the board "
+        "is flat, and camera.intrinsics"
+    )
+    return [doubt]
+
+
+def speed_doubts(speed_m_s: float, prior: SpeedPrior) -> list[str]:
+    """Say when sound and pictures do not agree on the scale of the world."""
+    deviation = (speed_m_s - prior.mean_m_s) / prior.std_m_s
+    if abs(deviation) < DOUBTFUL_SPEED_SIGMAS:
+        return []
+    doubt = (
+        f"the speed of sound came out at {speed_m_s:.1f} m/s, {abs(deviation):.1f} standard deviations from the rig's "
+        f"{prior.mean_m_s:.1f} m/s: check medium in the rig description, and that the board was printed to scale"
+    )
+    return [doubt]
+
+
+def fit_doubts(measured: Measurements, solution: Solution) -> list[str]:
+    """Say when TDOAs do not fit: too many rejected, with the likely culprit, or too large a scatter."""
+    doubts = []
+    present = measured.problem.present
+    rejected = present & ~solution.used
+    share = rejected.sum() / present.sum()
+    if share > LARGE_REJECTED_SHARE:
+        doubts.append(f"{share:.0%} of the TDOAs do not fit and were rejected{_culprit(measured, rejected, present)}")
+    speed_m_s = solution.estimate.speed_of_sound_m_s
+    expected_s = float(np.hypot(USUAL_SIGMA_S, measured.description.board.buzzer_std_m / speed_m_s))
+    if solution.robust_sigma_s > LARGE_SIGMA_FACTOR * expected_s:
+        doubts.append(
+            f"TDOAs scatter by {1e6 * solution.robust_sigma_s:.1f} us, usual is {1e6 * expected_s:.1f} us: noise or "
+            "echo, or buzzers that are not where board.buzzers says"
+        )
+    return doubts
+
+
+def spread_doubts(covariance_m2: FloatArray, channels: tuple[int, ...]) -> list[str]:
+    """Say which microphone is too uncertain, from the covariances (n_mics, 3, 3)."""
+    std_m = np.sqrt(np.linalg.eigvalsh(covariance_m2)[:, -1])
+    worst = int(np.argmax(std_m))
+    if std_m[worst] <= LARGE_STD_M:
+        return []
+    doubt = (
+        f"channel {channels[worst]} is uncertain by {1e3 * std_m[worst]:.1f} mm in its weakest direction: capture a "
+        "session with more poses, tilted both ways and at several distances"
+    )
+    return [doubt]
+
+
+def _culprit(measured: Measurements, rejected: NDArray[np.bool_], present: NDArray[np.bool_]) -> str:
+    """Name the buzzers, channels or poses most of whose TDOAs were rejected, empty where none stands out."""
+    rows = np.isin(measured.tdoas.pose, measured.view.pose)
+    kinds = {
+        "buzzer": (measured.tdoas.buzzer[rows], rejected.sum(axis=1), present.sum(axis=1)),
+        "pose": (measured.tdoas.pose[rows], rejected.sum(axis=1), present.sum(axis=1)),
+    }
+    for kind, (labels, n_rejected, n_present) in kinds.items():
+        shares = {
+            int(label): n_rejected[labels == label].sum() / max(n_present[labels == label].sum(), 1)
+            for label in np.unique(labels)
+        }
+        bad = [str(label) for label, share in shares.items() if share > CULPRIT_SHARE]
+        if bad and len(bad) < len(shares):
+            where = "board.buzzers in the rig description" if kind == "buzzer" else "what happened there"
+            return f", most of those of {kind} {' and '.join(bad[:4])}: check {where}"
+    return ": check the room for noise and echo, and the rig description"
