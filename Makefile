@@ -43,6 +43,7 @@ imports: setup
 	$(BIN)/lint-imports
 
 tests: setup
+	.ci/system-packages
 	$(BIN)/pytest --numprocesses=auto --cov --cov-report=term
 
 lock:
@@ -50,4 +51,4 @@ lock:
 	    --extra aislab --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml
+	rm -rf .venv firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml

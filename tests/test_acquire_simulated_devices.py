@@ -145,7 +145,6 @@ def test_devices_name_themselves():
     [
         ("audio", {"driver": "portaudio", "device": {"name": "x"}}),
         ("camera", {"driver": "opencv", "source": 0}),
-        ("trigger", {"driver": "serial"}),
     ],
 )
 def test_a_driver_of_a_later_version_is_refused(section, changes):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from acquire.clock import VirtualClock
+from acquire.devices.base import Clock
 from acquire.devices.simulated.draws import draws
 from acquire.devices.simulated.scene import Scene
 from rigs.description import Fault
@@ -64,7 +64,7 @@ class Emission:
 class Stage:
     """What the three devices share: the pose that was asked for, the board on its way, and the sounds made so far."""
 
-    def __init__(self, scene: Scene, clock: VirtualClock) -> None:
+    def __init__(self, scene: Scene, clock: Clock) -> None:
         self.scene = scene
         self.clock = clock
         self.pose = -1

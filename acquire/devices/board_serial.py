@@ -1,0 +1,191 @@
+"""The buzzer board at a serial port."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from acquire.devices.base import EmissionStart
+from acquire.devices.board_clock import BoardClock
+from acquire.devices.board_hello import Hello, check_fits, connect, number
+from acquire.devices.board_link import BoardLink, BoardRestartedError, NoAnswerError, PortLostError
+from acquire.devices.wire import ERROR_BUSY, ERROR_CHECKSUM, ERROR_FAULT, ERROR_LINE, Reply, play_arguments
+from acquire.errors import DeviceError
+from acquire.ports import choose_port, serial_ports
+from rigs.waveform import Waveform
+
+_FIRST_PINGS = 8
+_TRIES = 3
+_QUIET_S = 0.5  # after an emission of which nobody knows when it began
+_RECONNECT_S, _RETRY_S = 6.0, 0.3
+_MAX_RESTARTS = 3
+
+
+class SerialBoard:
+    """Plays the buzzers of a real board, or of the simulated Uno that runs its firmware.
+
+    Parameters
+    ----------
+    port : str
+        "auto", a path, or USB ids as VID:PID or VID:PID:SERIAL.
+    waveform : Waveform
+    buzzers : sequence of int
+        What will be played, and where: checked when the board is opened, before anything sounds.
+
+    Attributes
+    ----------
+    clock : BoardClock
+        The board's clock since its last start.
+    """
+
+    def __init__(self, port: str, waveform: Waveform, buzzers: Sequence[int]) -> None:
+        self._wanted, self._waveform, self._buzzers = port, waveform, tuple(buzzers)
+        self._link: BoardLink | None = None
+        self._n_buzzers, self._n_plays, self._restarts = 0, 0, 0
+        self.clock = BoardClock()
+
+    def open(self) -> str:
+        """Connect and return the firmware's name and version.
+
+        Raises
+        ------
+        DeviceError
+            No such port, no answer, or the board cannot play what the rig wants.
+        FirmwareError
+            The firmware does not fit.
+        """
+        self._link, hello = self._connected()
+        return hello.describe()
+
+    def play(self, buzzer: int, waveform: Waveform) -> EmissionStart:
+        """Start one emission and return when the board has replied.
+
+        A board that restarted, or was unplugged for a moment, is connected again.
+
+        Raises
+        ------
+        DeviceError
+            The board is not open or lost, has no such buzzer, still plays, or stopped itself.
+        FirmwareError
+            What was plugged in again is something else.
+        """
+        link = self._ready(buzzer)
+        while True:
+            try:
+                self._ping(link)
+                return self._start(link, buzzer, waveform)
+            except (BoardRestartedError, PortLostError) as error:
+                link = self._reconnect(link, error)
+
+    def close(self) -> None:
+        """Silence the board and let it go; safe to call twice."""
+        link, self._link = self._link, None
+        if link is None:
+            return
+        try:
+            link.ask("stop")
+        except DeviceError:
+            pass  # a board that is gone is silent within its own limit
+        finally:
+            link.close()
+
+    def _ready(self, buzzer: int) -> BoardLink:
+        if self._link is None:
+            raise DeviceError("trigger board: the port is not open; open it first")
+        if not 1 <= buzzer <= self._n_buzzers:
+            raise DeviceError(f"trigger board: there is no buzzer {buzzer}; this board has 1 to {self._n_buzzers}")
+        return self._link
+
+    def _connected(self) -> tuple[BoardLink, Hello]:
+        link, hello = connect(choose_port(self._wanted, serial_ports()).path)
+        try:
+            check_fits(hello, self._waveform, self._buzzers)
+            self._settle(link)
+        except BaseException:
+            link.close()
+            raise
+        self._n_buzzers = hello.n_buzzers
+        return link, hello
+
+    def _settle(self, link: BoardLink) -> None:
+        """Silence the board, for a host that died may have left a sound, and get to know its clock."""
+        link.ask_safely("stop")
+        status = link.ask_safely("status").reply
+        if status.fields.get("state") == "fault":
+            raise self._fault(link)
+        self._n_plays = number(status.fields, "plays", link.path)
+        self.clock = BoardClock()
+        for _ in range(_FIRST_PINGS):
+            self._ping(link)
+
+    def _ping(self, link: BoardLink) -> None:
+        answer = link.ask_safely("ping")
+        self.clock.add(answer.sent_s, answer.received_s, number(answer.reply.fields, "us", link.path))
+
+    def _start(self, link: BoardLink, buzzer: int, waveform: Waveform) -> EmissionStart:
+        asked_s = time.monotonic()
+        for _ in range(_TRIES):
+            on_us = self._played(link, buzzer, waveform)
+            if on_us is not None:
+                self._n_plays += 1
+                board_s = self.clock.board_s(on_us, time.monotonic())
+                return EmissionStart(board_s, max(asked_s, self.clock.host_s(board_s)))
+        raise DeviceError(f"{link.path}: the board did not take `play`, {_TRIES} times: check its cable")
+
+    def _played(self, link: BoardLink, buzzer: int, waveform: Waveform) -> int | None:
+        """Return the board's time (us) of the first edge; None where nothing sounds and it may be tried again."""
+        link.last_on = None
+        try:
+            reply = link.ask("play", *play_arguments(buzzer, waveform)).reply
+        except NoAnswerError:
+            return self._start_by_status(link, waveform)
+        if reply.error in (ERROR_CHECKSUM, ERROR_LINE):
+            return None  # spoilt on its way, so the board has done nothing
+        if reply.error:
+            raise self._refused(link, buzzer, reply)
+        return number(reply.fields, "on_us", link.path)
+
+    def _start_by_status(self, link: BoardLink, waveform: Waveform) -> int | None:
+        """Find out whether a `play` without a reply sounds; where nobody knows since when, wait until it is over."""
+        seq = str(link.seq)
+        status = link.ask_safely("status").reply
+        if link.last_on is not None and link.last_on.fields.get("seq") == seq:
+            return number(link.last_on.fields, "us", link.path)
+        n_plays = number(status.fields, "plays", link.path)
+        if n_plays != self._n_plays:
+            self._n_plays = n_plays
+            time.sleep(waveform.duration_s + _QUIET_S)
+        return None
+
+    def _refused(self, link: BoardLink, buzzer: int, reply: Reply) -> DeviceError:
+        if reply.error == ERROR_BUSY:
+            return DeviceError(f"trigger board: busy, cannot play buzzer {buzzer} yet; wait until the last sound ends")
+        if reply.error == ERROR_FAULT:
+            return self._fault(link)
+        return DeviceError(
+            f"{link.path}: the board refuses to play buzzer {buzzer}: error {reply.error} {reply.error_name}"
+        )
+
+    def _fault(self, link: BoardLink) -> DeviceError:
+        why = link.last_fault.fields.get("name", "unknown") if link.last_fault else "unknown"
+        return DeviceError(
+            f"{link.path}: the board has stopped itself (fault {why}): check its wiring and unplug it once"
+        )
+
+    def _reconnect(self, link: BoardLink, error: DeviceError) -> BoardLink:
+        """Return a new link to a board that restarted or was unplugged."""
+        self._link = None
+        link.close()
+        self._restarts += 1
+        if self._restarts > _MAX_RESTARTS:
+            raise DeviceError(f"{error}; it was lost {self._restarts} times in this session") from error
+        end_s = time.monotonic() + _RECONNECT_S
+        while True:
+            try:
+                self._link, _ = self._connected()
+            except DeviceError as refusal:
+                if time.monotonic() > end_s:
+                    raise DeviceError(f"{error}; it did not come back: {refusal}") from error
+                time.sleep(_RETRY_S)
+            else:
+                return self._link

@@ -1,0 +1,47 @@
+// The firmware with a fault built in, for the tests of its guards. BROKEN names the fault.
+#include <Arduino.h>
+
+#define loop healthy_loop
+#include "buzzer_board.ino"
+#undef loop
+#include "config.h"
+#include "wave.h"
+
+extern uint8_t _end;
+
+namespace {
+
+// An emission, as if the protocol had let it through.
+void play_for_us(uint32_t duration_us) { player::play(1, Wave{WAVE_TONE, 0, 1000, 1000, duration_us}, 7); }
+
+bool is_sounding() { return digitalRead(LED_PIN); }
+
+void hang() {  // the main loop alone
+    for (;;) {
+    }
+}
+
+void short_circuit() { digitalWrite(BUZZER_PINS[4], HIGH); }  // a second buzzer
+
+void lose_end() { TIMSK1 &= (uint8_t)~_BV(OCIE1B); }
+
+void lose_edges() { OCR1A -= 3000; }
+
+void overflow_stack() { (&_end)[20] = 0; }
+
+void overrun() {  // the limit: nothing to break while it sounds
+}
+
+}  // namespace
+
+void loop() {
+    static bool is_broken;
+    healthy_loop();
+    if (!is_broken && !is_sounding() && BROKEN == overrun) {
+        is_broken = true;
+        play_for_us(2000000);
+    }
+    if (is_broken || !is_sounding()) return;
+    is_broken = true;
+    BROKEN();
+}

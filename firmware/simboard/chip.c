@@ -1,0 +1,104 @@
+#include "chip.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "avr_extint.h"
+#include "hex.h"
+#include "sim_elf.h"
+#include "sim_regbit.h"
+#include "trace.h"
+
+enum { FREQUENCY_HZ = 16000000, MOST_CYCLES = 3200 };  // at a time, between two looks at the serial line
+
+static avr_t *chip;
+static bool was_reset;
+static const char *cause = "watchdog";  // what resets the chip unasked
+static void (*core_reset)(avr_t *);
+
+static void fail(const char *what, const char *which) {
+    fprintf(stderr, "simboard: %s: %s\n", which, what);
+    exit(2);
+}
+
+static void load(const uint8_t *bytes, uint32_t size, uint32_t base, const char *path) {
+    if (base > chip->flashend || size > chip->flashend + 1 - base) fail("does not fit into the flash", path);
+    memcpy(chip->flash + base, bytes, size);
+}
+
+static void load_elf(const char *path) {
+    elf_firmware_t elf = {0};
+    if (elf_read_firmware(path, &elf) != 0 || !elf.flash) fail("not an AVR ELF file", path);
+    load(elf.flash, elf.flashsize, elf.flashbase, path);
+}
+
+static void load_hex(const char *path) {
+    struct hex_image image;
+    if (!hex_read(path, &image)) fail("not an Intel hex file", path);
+    for (uint32_t address = image.lowest; address <= image.highest; address++)
+        if (image.is_set[address]) load(&image.bytes[address], 1, address, path);
+    if (image.lowest > 0) chip->reset_pc = image.lowest;
+    hex_free(&image);
+}
+
+// A low interrupt pin would be looked at in every cycle, and buzzers 1 and 2 are on such pins. Every reset asks for that anew.
+static void spare_level_triggers(void) {
+    for (uint8_t number = 0; number < EXTINT_COUNT; number++) avr_extint_set_strict_lvl_trig(chip, number, 0);
+    was_reset = false;
+}
+
+static void resetting(avr_t *avr) {
+    trace_reset(cause);
+    cause = "watchdog";
+    was_reset = true;
+    if (core_reset) core_reset(avr);
+}
+
+static void never_sleep(avr_t *avr, avr_cycle_count_t cycles) {
+    (void)avr;  // the main loop keeps the pace
+    (void)cycles;
+}
+
+static void log_errors(avr_t *avr, const int level, const char *format, va_list arguments) {
+    (void)avr;
+    if (level <= LOG_ERROR) vfprintf(stderr, format, arguments);
+}
+
+avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
+    avr_global_logger_set(log_errors);
+    chip = avr_make_mcu_by_name(mcu);
+    if (!chip) fail("libsimavr does not know this chip", mcu);
+    avr_init(chip);
+    chip->frequency = FREQUENCY_HZ;
+    chip->sleep = never_sleep;
+    chip->run_cycle_limit = MOST_CYCLES;
+    chip->codeend = chip->flashend;
+    for (int i = 0; i < n_images; i++) {
+        const char *suffix = strrchr(images[i], '.');
+        (suffix && !strcmp(suffix, ".hex") ? load_hex : load_elf)(images[i]);
+    }
+    core_reset = chip->reset;
+    chip->reset = resetting;
+    return chip;
+}
+
+static void reset(const char *why, avr_regbit_t flag) {
+    cause = why;
+    avr_reset(chip);
+    avr_regbit_set(chip, flag);
+    // A boot loader waits for a new sketch only after an external reset; plugging a board in does one too.
+    if (chip->reset_pc) avr_regbit_set(chip, chip->reset_flags.extrf);
+}
+
+void chip_power_on(void) { reset("power", chip->reset_flags.porf); }
+void chip_external_reset(void) { reset("external", chip->reset_flags.extrf); }
+
+bool chip_run(avr_cycle_count_t cycles) {
+    for (avr_cycle_count_t end = chip->cycle + cycles; chip->cycle < end;) {
+        int state = avr_run(chip);
+        if (was_reset) spare_level_triggers();
+        if (state == cpu_Done || state == cpu_Crashed) return false;
+    }
+    return true;
+}

@@ -1,0 +1,182 @@
+"""The command line rig-flash: what it says, what it runs, and every way in which it can fail without a board."""
+
+import os
+import re
+import subprocess
+import tty
+
+import pytest
+from simboard import OPTIBOOT, firmware, running_board
+
+from acquire.avrdude import BOARDS, explain
+from acquire.devices.board_serial import SerialBoard
+from acquire.flash import cli
+from acquire.ports import FoundPort, open_port
+from rigs.command import run
+from rigs.waveform import Waveform
+
+# One byte of program: enough for avrdude to look for a bootloader.
+TINY_IMAGE = ":0100000000FF\n:00000001FF\n"
+
+
+@pytest.fixture
+def image(tmp_path):
+    path = tmp_path / "tiny.hex"
+    path.write_text(TINY_IMAGE)
+    return path
+
+
+@pytest.fixture
+def mute_port():
+    """Return a pseudo-terminal behind which nobody is."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.fixture
+def ports(monkeypatch):
+    def plug_in(*found):
+        monkeypatch.setattr("acquire.flash.serial_ports", lambda: list(found))
+
+    return plug_in
+
+
+def rig_flash(*arguments):
+    return run("rig-flash", cli, [str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [
+        ("uno", "-p atmega328p -c arduino -P /dev/ttyX -b 115200 -D -U flash:w:"),
+        ("nano", "-p atmega328p -c arduino -P /dev/ttyX -b 115200 -D -U flash:w:"),
+        ("nano-old", "-p atmega328p -c arduino -P /dev/ttyX -b 57600 -D -U flash:w:"),
+        ("mega", "-p atmega2560 -c wiring -P /dev/ttyX -b 115200 -D -U flash:w:"),
+    ],
+)
+def test_a_dry_run_says_what_would_be_done(capsys, board, words):
+    assert rig_flash("--port", "/dev/ttyX", "--board", board, "--dry-run") == 0
+    printed = capsys.readouterr().out
+    assert f"found /dev/ttyX (no USB ids): taken as board {board}" in printed
+    assert f"would run: avrdude {words}" in printed
+    assert f"buzzer-board-{board.removesuffix('-old')}.hex" in printed
+
+
+def test_the_usb_ids_tell_the_board(capsys, ports):
+    ports(FoundPort("/dev/ttyACM0", "2341:0042", "55"))
+    assert rig_flash("--dry-run") == 0
+    printed = capsys.readouterr().out
+    assert "found /dev/ttyACM0 (2341:0042:55, Arduino Mega 2560): taken as board mega" in printed
+    assert "-c wiring" in printed
+
+
+def test_ids_that_do_not_tell_the_board_ask_for_it(capsys, ports):
+    ports(FoundPort("/dev/ttyUSB0", "1A86:7523"))
+    assert rig_flash("--dry-run") == 2
+    assert "does not tell which board it is: give --board uno, nano, nano-old, mega" in capsys.readouterr().err
+
+
+def test_no_board_and_several_boards(capsys, ports):
+    ports()
+    assert rig_flash() == 3
+    assert "rig-flash: no board found on any USB port: plug the board in" in capsys.readouterr().err
+    ports(FoundPort("/dev/ttyACM0", "2341:0043"), FoundPort("/dev/ttyACM1", "2341:0043"))
+    assert rig_flash() == 3
+    assert "2 boards could be meant: unplug the others, or name the port" in capsys.readouterr().err
+
+
+def test_a_port_that_is_not_there(capsys, image):
+    assert rig_flash("--port", "/dev/ttyNO", "--board", "uno", "--image", image) == 3
+    assert "rig-flash: /dev/ttyNO: there is no such port: plug the board in" in capsys.readouterr().err
+
+
+def test_a_port_that_is_in_use(capsys, image, mute_port):
+    held = open_port(mute_port)
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", image) == 3
+    held.close()
+    assert "another program uses this port: close serial monitors" in capsys.readouterr().err
+
+
+def test_a_board_that_does_not_answer_avrdude(capsys, image, mute_port, monkeypatch):
+    monkeypatch.setattr("acquire.avrdude._HOPELESS", re.compile("attempt 1 of"))  # each takes 6 s
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", image) == 3
+    said = capsys.readouterr()
+    assert "writing tiny.hex with avrdude" in said.out
+    assert "programmer is not responding" in said.err  # avrdude's own words, first
+    last = said.err.splitlines()[-1]
+    assert last.startswith(f"rig-flash: no bootloader of a uno answers at {mute_port} (not in sync): check --board")
+    assert "--board nano-old" in last
+
+
+@pytest.mark.parametrize(
+    ("complaint", "meaning"),
+    [
+        ("OS error: cannot open port /dev/ttyX: Permission denied", "no permission to use /dev/ttyX: `sudo usermod"),
+        ('ser_open(): can\'t open device "/dev/ttyX": Device or resource busy', "another program uses /dev/ttyX"),
+        ("OS error: cannot open port /dev/ttyX: No such file or directory", "/dev/ttyX is gone: plug the board in"),
+        ("Expected signature for ATmega328P is 1E 95 0F", "not that of a uno: name the right board with --board"),
+        ("error: verification mismatch", "is not what was written: try again, with another cable"),
+        ("verification error, first mismatch at byte 0x0000", "is not what was written: try again"),
+        ("stk500_getsync() attempt 10 of 10: not in sync: resp=0x00", "no bootloader of a uno answers at /dev/ttyX"),
+        ("something new", "avrdude failed at /dev/ttyX, for the reason it gives above"),
+    ],
+)  # fmt: skip
+def test_avrdudes_complaints_are_explained(complaint, meaning):
+    assert meaning in explain(f"avrdude {complaint}\n", BOARDS["uno"], "/dev/ttyX")
+
+
+def test_a_computer_without_avrdude_says_how_to_get_it(capsys, image, mute_port, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", image) == 2
+    assert "avrdude is not installed: `sudo apt install avrdude`" in capsys.readouterr().err
+
+
+def test_images_that_are_not_there(capsys, mute_port, monkeypatch, tmp_path):
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", tmp_path / "no.hex") == 2
+    assert "no.hex" in capsys.readouterr().err
+    monkeypatch.setattr("acquire.flash._IMAGES", tmp_path)
+    assert rig_flash("--port", mute_port, "--board", "uno") == 2
+    assert "there is no such image: build it with --build in a source tree" in capsys.readouterr().err
+
+
+def test_building_needs_the_sources(capsys, mute_port, monkeypatch, tmp_path):
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", __file__, "--build") == 2
+    assert "give one of the two" in capsys.readouterr().err
+    monkeypatch.setattr("acquire.flash._FIRMWARE", tmp_path)
+    assert rig_flash("--port", mute_port, "--board", "uno", "--build") == 2
+    assert "--build works in a source tree only" in capsys.readouterr().err
+
+
+def test_a_board_as_bought_is_flashed_and_tells_what_is_on_it(capsys):
+    with running_board(OPTIBOOT, dtr=True) as board:
+        assert rig_flash("--port", board.port, "--board", "uno", "--image", firmware("uno", "hex")) == 0
+        printed = capsys.readouterr().out
+        assert "written and verified; the board says: buzzer-board 1." in printed
+        assert printed.endswith("on uno, 6 buzzers\n")
+        opened = SerialBoard(board.port, Waveform("tone", 0.005, 1000.0, 1000.0), [1])
+        assert opened.open().startswith("buzzer-board")
+        opened.close()
+
+
+CHATTER = """
+#include <avr/io.h>
+int main(void) {
+    UCSR0A = _BV(U2X0), UCSR0B = _BV(TXEN0), UBRR0 = 16;
+    for (;;) if (UCSR0A & _BV(UDRE0)) UDR0 = 'U';
+}
+"""
+
+
+def test_an_image_that_is_not_ours_is_a_firmware_error(capsys, tmp_path):
+    elf, image = tmp_path / "chatter.elf", tmp_path / "chatter.hex"
+    build = ["avr-gcc", "-mmcu=atmega328p", "-Os", "-x", "c", "-", "-o", elf]
+    subprocess.run(build, input=CHATTER, text=True, check=True)
+    subprocess.run(["avr-objcopy", "-O", "ihex", elf, image], check=True)
+    with running_board(OPTIBOOT, dtr=True) as board:
+        assert rig_flash("--port", board.port, "--board", "uno", "--image", image) == 4
+    assert f"what answers there is not the firmware buzzer-board: put ours on it: rig-flash --port {board.port}" in (
+        capsys.readouterr().err
+    )
