@@ -45,9 +45,7 @@ def test_opening_the_port_resets_a_board_as_dtr_does():
                 while host.next_boot()["reset"] == "power":  # may just have been on its way
                     pass
                 assert host.ask("1 status")["reset"] == "external"
-        deadline_s = time.monotonic() + 10
-        while len(board.trace().resets) < 3 and time.monotonic() < deadline_s:
-            time.sleep(0.02)
+        time.sleep(0.1)  # the trace is written every 5 ms
         assert [cause for _, cause in board.trace().resets] == ["power", "external", "external"]
 
 

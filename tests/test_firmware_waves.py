@@ -52,6 +52,9 @@ def session() -> tuple[Trace, list[Played]]:
         host.restart(board)
         for number, (command, _) in enumerate(commands()):
             stamps.append(host.play(f"{number} play {number % 6 + 1} {command}"))
+        used_bytes = 2048 - int(host.ask("0 test")["ram"])  # after the deepest interrupts within interrupts
+        print(f"{used_bytes} bytes of memory used, the stack included")
+        assert used_bytes <= 1024
         board.settle()
         trace = board.trace()
     led_s = trace.pin(LED_PIN)[0].reshape(-1, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 _TIMEOUT_S = 1.0
 _TRIES = 3
+# One sequence for all links, from wherever: a late reply to an earlier link or host is not taken for ours.
+_NUMBERS = itertools.count(time.monotonic_ns() // 1_000_000)
 
 
 class NoAnswerError(DeviceError):
@@ -68,9 +71,7 @@ class BoardLink:
 
     def __init__(self, port: Serial) -> None:
         self._port, self._decoder = port, LineDecoder()
-        self.seq = (
-            time.monotonic_ns() // 1_000_000 % SEQUENCE_NUMBERS
-        )  # so that a host before us is not mistaken for us
+        self.seq = 0
         self.n_bytes, self.n_stale = 0, 0
         self.last_on: Event | None = None
         self.last_fault: Event | None = None
@@ -94,7 +95,7 @@ class BoardLink:
         """
         limit_s = _TIMEOUT_S if timeout_s is None else timeout_s
         self.catch_up()
-        self.seq = (self.seq + 1) % SEQUENCE_NUMBERS or 1  # 0 is for lines that the board could not read
+        self.seq = next(_NUMBERS) % (SEQUENCE_NUMBERS - 1) + 1  # 0 is for lines that the board could not read
         sent_s = time.monotonic()
         self._send(encode(self.seq, verb, *arguments))
         while time.monotonic() < sent_s + limit_s:

@@ -4,7 +4,7 @@
 namespace commands {
 
 void begin();  // says that the board has started
-// One turn of the main loop: tells what happened, then takes what came in, up to one line; then rests until the next interrupt.
+// One turn of the main loop: tells what happened, takes up to one line that came in, rests until the next interrupt.
 void turn();
 
 }  // namespace commands

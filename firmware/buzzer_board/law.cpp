@@ -12,7 +12,8 @@ constexpr uint16_t BRIEF_TICKS = 256;    // no time for more than one improvemen
 constexpr uint8_t FEW_IMPROVEMENTS = 1;
 constexpr uint16_t SHORT_TICKS = 128, VERY_SHORT_TICKS = 64;  // found in blocks, and in blocks of four at least
 constexpr uint8_t LARGEST_BLOCK_LOG2 = 4;
-constexpr uint16_t STEADY_TICKS = 2, UNSTEADY_TICKS = 8;  // change from block to block; an eighth of it is the error within
+// change from block to block; an eighth of it is the error within
+constexpr uint16_t STEADY_TICKS = 2, UNSTEADY_TICKS = 8;
 
 }  // namespace
 

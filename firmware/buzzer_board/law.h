@@ -1,7 +1,7 @@
 // The law of a wave: at which tick its next step (half cycle or chip) begins. Pure, so that it also runs on a host.
 //
-// A linear sweep's mean step rate between two ticks is exactly the one in the middle. So the steps passed in `t` ticks are
-// t * (rate + slope * t / 2), and the next step is where that reaches 1: found by Newton's iteration from the last
+// A linear sweep's mean step rate between two ticks is exactly the one in the middle. So the steps passed in `t` ticks
+// are t * (rate + slope * t / 2), and the next step is where that reaches 1: found by Newton's iteration from the last
 // interval, without a division. Rate and slope are exact integers, and what rounding to whole ticks leaves over is
 // carried to the next step: nothing drifts. Short steps are found in blocks of up to sixteen and spread evenly, as
 // long as that moves them by less than about a tick.

@@ -1,5 +1,6 @@
 #include "player.h"
 
+#include <avr/cpufunc.h>
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <util/atomic.h>
@@ -14,9 +15,9 @@
 namespace {
 
 constexpr uint32_t LIMIT_TICKS = MAX_DURATION_US * board_clock::TICKS_PER_US;
-constexpr uint16_t LEAD_TICKS = 2000;      // from the command to the first edge: time to compute and to reply
-constexpr uint16_t CLOSE_TICKS = 200;
-constexpr uint16_t LATENCY_TICKS = 7;     // from a compare match to the pin; edges are scheduled earlier by this
+constexpr uint16_t LEAD_TICKS = 2000;   // from scheduling to the first edge
+constexpr uint16_t CLOSE_TICKS = 200;   // longer than scheduling takes
+constexpr uint16_t LATENCY_TICKS = 7;   // from a compare match to the pin; edges are scheduled earlier by this
 constexpr uint16_t LONGEST_STEP_TICKS = 20000 + 200;  // half a cycle at 50 Hz, and some slack
 constexpr uint32_t SLACK_TICKS = 2000;
 
@@ -36,7 +37,7 @@ uint16_t n_plays;
 // Each is the ticks since the one before, and the level it goes to.
 constexpr uint16_t LEVEL = 0x8000;
 constexpr uint8_t N_STEPS = 32;  // a power of two
-uint16_t steps[N_STEPS];
+volatile uint16_t steps[N_STEPS];
 volatile uint8_t n_made, n_taken;
 volatile bool is_making, is_last_made, ran_dry;
 bool level, made_level;
@@ -47,6 +48,7 @@ void finish(uint32_t elapsed_ticks, Why why) {
     pins::silence();
     emission.off_us = emission.on_us + elapsed_ticks / board_clock::TICKS_PER_US;
     emission.why = why;
+    _MemoryBarrier();
     state = OVER;
 }
 
@@ -153,6 +155,7 @@ uint8_t player::buzzer() { return state == ARMED || state == SOUNDING ? emission
 
 bool player::began(Emission &told) {
     if (on_is_told || state == IDLE || state == ARMED) return false;
+    _MemoryBarrier();
     on_is_told = true;
     told = emission;
     return true;
@@ -160,14 +163,15 @@ bool player::began(Emission &told) {
 
 bool player::ended(Emission &told) {
     if (state != OVER || !on_is_told) return false;
+    _MemoryBarrier();  // an interrupt wrote the rest before `state`
     told = emission;
     state = IDLE;
     return true;
 }
 
 bool player::needs_watching() {
-    if (state == SOUNDING) return !on_is_told || !(TIMSK1 & _BV(OCIE1A));  // after the last step only the end can wake the board
-    return state == OVER;
+    const bool is_last_step_out = !(TIMSK1 & _BV(OCIE1A));  // then nothing but the end would wake the board
+    return state == OVER || (state == SOUNDING && (is_last_step_out || !on_is_told));
 }
 
 uint16_t player::plays() { return n_plays; }
@@ -182,7 +186,8 @@ uint8_t player::impossible() {
     bool waits;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         ahead_ticks = OCR1A - TCNT1;
-        waits = (TIMSK1 & _BV(OCIE1A)) && !(TIFR1 & _BV(OCF1A));  // read after the timer: a match in between is no fault
+        // read after the timer: a match in between is no fault
+        waits = (TIMSK1 & _BV(OCIE1A)) && !(TIFR1 & _BV(OCF1A));
     }
     return waits && ahead_ticks > LONGEST_STEP_TICKS ? FAULT_TIMER : FAULT_NONE;
 }

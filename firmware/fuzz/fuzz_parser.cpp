@@ -1,7 +1,7 @@
 // Fuzzes the parser, guided by coverage: fuzz_parser FRAMES BYTES SEED
 //
-// Starts from the golden frames, mutates them, and keeps what reached code in a new way. Run under sanitizers; checks on top
-// that no line is accepted that the protocol forbids. The parser's own files are built with -fsanitize-coverage=trace-pc.
+// Starts from the golden frames, mutates them, and keeps what reached code in a new way. Runs under sanitizers; checks
+// on top that no line is accepted that the protocol forbids. The parser is built with -fsanitize-coverage=trace-pc.
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -48,7 +48,7 @@ void check(const Command &command, const std::string &sent) {
     const Wave &wave = command.wave;
     const bool is_mls = wave.kind == WAVE_MLS;
     require(command.buzzer >= 1 && command.buzzer <= N_BUZZERS, "there is no such buzzer", sent);
-    require(wave.duration_us >= MIN_DURATION_US && wave.duration_us <= MAX_DURATION_US, "it is too long or short", sent);
+    require(wave.duration_us >= MIN_DURATION_US && wave.duration_us <= MAX_DURATION_US, "of its length", sent);
     for (uint32_t hz : {wave.start_hz, wave.stop_hz})
         require(hz >= (is_mls ? MIN_CHIP_HZ : MIN_HZ) && hz <= (is_mls ? MAX_CHIP_HZ : MAX_HZ), "no such rate", sent);
     require(!is_mls || (wave.order >= MIN_ORDER && wave.order <= MAX_ORDER), "no such order", sent);
@@ -110,7 +110,8 @@ int main(int n_arguments, char **arguments) {
         n_lines++;
         if (n_reached > reached_before && line.size() < 200) corpus.push_back(line);
     }
-    printf("%zu bytes, %zu lines, %zu plays, %zu kept, %zu places; errors", n_fed, n_lines, n_plays, corpus.size(), n_reached);
+    printf("%zu bytes, %zu lines, %zu plays, ", n_fed, n_lines, n_plays);
+    printf("%zu kept, %zu places; errors", corpus.size(), n_reached);
     for (size_t number = 0; number < 10; number++) printf(" %zu", n_errors[number]);
     puts("");
 }

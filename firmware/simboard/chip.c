@@ -42,7 +42,7 @@ static void load_hex(const char *path) {
     hex_free(&image);
 }
 
-// A low interrupt pin would be looked at in every cycle, and buzzers 1 and 2 are on such pins. Every reset asks for that anew.
+// A low interrupt pin would be looked at in every cycle, and buzzers 1 and 2 are on such pins. Resets ask for it anew.
 static void spare_level_triggers(void) {
     for (uint8_t number = 0; number < EXTINT_COUNT; number++) avr_extint_set_strict_lvl_trig(chip, number, 0);
     was_reset = false;

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 
 enum { SIZE = 1 << 18, MOST_BYTES = 255 + 5 };  // of the largest flash; of a record
-enum { CONTENT = 0, END = 1, SEGMENT = 2, UPPER_ADDRESS = 4 };  // kinds of records; the others name a start, which is not needed
+enum { CONTENT = 0, END = 1, SEGMENT = 2, UPPER_ADDRESS = 4 };  // kinds of records; others name a start address
 
 // The bytes of a record; their number, or 0 where the line is none or its checksum does not fit.
 static int record_of(const char *line, uint8_t record[MOST_BYTES]) {

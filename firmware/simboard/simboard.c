@@ -1,6 +1,5 @@
 // The simulated board: runs real firmware at the pace of real time, its serial line a pseudo-terminal.
 #define _GNU_SOURCE
-#include <errno.h>
 #include <getopt.h>
 #include <signal.h>
 #include <stdio.h>
@@ -13,7 +12,7 @@
 
 static const char USAGE[] =
     "usage: simboard [options] IMAGE [IMAGE ...]\n"
-    "Runs firmware (.elf, .hex, a boot loader's .hex too) on a simulated board and prints the path of its serial port.\n"
+    "Runs firmware (.elf, .hex, a boot loader's .hex too) on a simulated board; prints the path of its serial port.\n"
     "  --mcu NAME    atmega328p (default: an Uno or Nano) or atmega2560 (a Mega)\n"
     "  --link PATH   make PATH a symbolic link to the serial port\n"
     "  --dtr         reset the board when a host opens the port, as a real one does\n"
