@@ -40,11 +40,6 @@ class Pose:
         """Make a pose from an axis times angle (3,) in radians and a translation (3,) in metres."""
         return cls(rotation_matrix(rotation_vector_rad), np.asarray(translation_m, dtype=float).reshape(3))
 
-    @classmethod
-    def from_matrix(cls, matrix: FloatArray) -> Pose:
-        """Make a pose from a homogeneous (4, 4) matrix."""
-        return cls(np.array(matrix[:3, :3], dtype=float), np.array(matrix[:3, 3], dtype=float))
-
     def matrix(self) -> FloatArray:
         """Return the homogeneous (4, 4) matrix."""
         out = np.eye(4)
@@ -56,14 +51,6 @@ class Pose:
         """Map points (..., 3) in metres."""
         return np.asarray(points_m @ self.rotation.T + self.translation_m)
 
-    def inverse(self) -> Pose:
-        """Return the pose that maps back."""
-        return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
-
-    def after(self, first: Pose) -> Pose:
-        """Return the pose that applies `first` and then this one."""
-        return Pose(self.rotation @ first.rotation, self.rotation @ first.translation_m + self.translation_m)
-
 
 def rotation_matrix(rotation_vector_rad: FloatArray) -> FloatArray:
     """Turn axis times angle (3,) in radians into a (3, 3) rotation matrix (Rodrigues' formula)."""
@@ -73,12 +60,6 @@ def rotation_matrix(rotation_vector_rad: FloatArray) -> FloatArray:
     if angle < 1e-8:  # second order series: the closed form divides by the angle
         return np.asarray(np.eye(3) + cross + cross @ cross / 2)
     return np.asarray(np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross)
-
-
-def angle_between(first: Pose, second: Pose) -> float:
-    """Return the angle of rotation from one pose to another, in radians."""
-    cosine = (np.trace(first.rotation.T @ second.rotation) - 1) / 2
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def rigid_alignment(points_m: FloatArray, target_m: FloatArray) -> Pose:
