@@ -33,7 +33,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
     tell("finding the board in the pictures")
     corners = find_pose_corners(session)
     tell("measuring arrivals in the sound")
-    measured = Measurements(description, corners, measure_tdoas(session), settings)
+    measured = Measurements(description, corners, measure_tdoas(session, settings.tdoa), settings)
     check_heard(measured.problem, channels)
     tell("solving")
     solution = solve(measured.problem, description, settings)
