@@ -22,7 +22,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 demo: setup
-	@rm -f demo.h5 demo.calib.yaml
+	@rm -f demo.h5 demo.calib.yaml demo.arrivals.npz
 	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
 	$(BIN)/rig-calibrate demo.h5
 
@@ -51,4 +51,4 @@ lock:
 	    --extra aislab --extra plot --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml
+	rm -rf .venv firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.cache import ArrivalCache
 from calib.errors import NotEnoughDataError
 from calib.flaws import HARMLESS, OF_CHANNELS, Flaw
 from calib.sound import SoundArrivals, TdoaMode, find_arrivals
@@ -61,8 +62,8 @@ def accepted_rows(session: Session) -> RowArray:
     return rows
 
 
-def measure_tdoas(session: Session, mode: TdoaMode = "auto") -> EmissionTdoas:
-    """Measure the TDOAs of all accepted emissions of accepted poses.
+def measure_tdoas(session: Session, mode: TdoaMode = "auto", cache: ArrivalCache | None = None) -> EmissionTdoas:
+    """Measure the TDOAs of all accepted emissions of accepted poses, or take the arrivals of an earlier run.
 
     Raises
     ------
@@ -76,7 +77,12 @@ def measure_tdoas(session: Session, mode: TdoaMode = "auto") -> EmissionTdoas:
         tdoa_s = measured.tdoa_s[rows]
         tdoa_s = np.where(np.abs(tdoa_s) < ABSURD_TDOA_S, tdoa_s, np.nan)
         return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs)
-    return tdoas_of(session, rows, find_arrivals(session, rows, mode))
+    sound = cache.load(rows, mode) if cache else None
+    if sound is None:
+        sound = find_arrivals(session, rows, mode)
+        if cache:
+            cache.save(sound, mode)
+    return tdoas_of(session, rows, sound)
 
 
 def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> EmissionTdoas:

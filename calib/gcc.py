@@ -85,6 +85,13 @@ class PairCorrelator:
         scores = np.clip(heights / np.maximum(whole, 1e-30)[..., None], 0.0, 0.9999)
         return Candidates(lags, scores, self._std(coherence, scores[..., 0], first))
 
+    def with_first(self, samples: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+        """Return lags (n_lags,) in samples, and every channel's correlation (n_channels, n_lags) with the first."""
+        crosses, first = self._summed_crosses(samples[None])
+        correlation = self._correlation(crosses[:, :, :, 0].transpose(0, 2, 1), first)[0]
+        middle = correlation.shape[1] // 2
+        return (np.arange(correlation.shape[1]) - middle) * self._lag_step, correlation
+
     def _summed_crosses(self, samples: NDArray[np.float32]) -> tuple[NDArray[np.complex64], int]:
         """Return cross-spectra (n, n_sums, n_channels, n_channels) of neighbouring bins, and the first's number."""
         spectra = rfft(samples, axis=2)

@@ -13,7 +13,7 @@ from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
 from calib.gcc import PairCorrelator
-from calib.receptions import Listener, Receptions, find_flaws
+from calib.receptions import Listener, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
 from rigs.waveform import Waveform
@@ -35,6 +35,8 @@ class SoundArrivals:
     ----------
     mode : {"matched", "gcc-phat"}
         How they were measured.
+    rows : (n_emissions,) integer array
+        Of the session's table of emissions.
     arrival_s : (n_emissions, n_channels) array
         Since the session's first sample ("matched"), or since the mean over the channels ("gcc-phat"); NaN where
         there is none, or it was rejected.
@@ -45,6 +47,7 @@ class SoundArrivals:
     """
 
     mode: str
+    rows: RowArray
     arrival_s: FloatArray
     std_s: FloatArray
     flaws: Flaws
@@ -111,16 +114,17 @@ def _matched(session: Session, rows: RowArray, waveform: Waveform, wrong: NDArra
     receptions = listener.hear(session.description.capture.clip_level)
     max_tdoa_samples = session.description.calibration.max_tdoa_s * session.sample_rate_hz
     flaws = find_flaws(receptions, listener, windows, wrong, max_tdoa_samples)
-    return matched_arrivals(receptions, flaws, windows)
-
-
-def matched_arrivals(receptions: Receptions, flaws: Flaws, windows: EmissionWindows) -> SoundArrivals:
-    """Keep what was not rejected, in seconds of the session."""
-    keep = ~flaws.rejected
     place = receptions.peaks.place_samples + windows.first_samples[:, None]
-    std = receptions.peaks.std_samples
-    arrival_s, std_s = (np.where(keep, value, np.nan) / windows.sample_rate_hz for value in (place, std))
-    return SoundArrivals("matched", arrival_s, std_s, flaws, keep.mean(axis=1))
+    return _kept("matched", rows, windows, place, receptions.peaks.std_samples, flaws, (~flaws.rejected).mean(axis=1))
+
+
+def _kept(
+    mode: str, rows: RowArray, windows: EmissionWindows, place: FloatArray, std: FloatArray, flaws: Flaws,
+    quality: FloatArray,
+) -> SoundArrivals:  # fmt: skip
+    """Keep what was not rejected, in seconds."""
+    arrival_s, std_s = (np.where(flaws.rejected, np.nan, value) / windows.sample_rate_hz for value in (place, std))
+    return SoundArrivals(mode, rows, arrival_s, std_s, flaws, quality)
 
 
 def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundArrivals:
@@ -145,9 +149,7 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     flaws.add(Flaw.NO_CONSISTENT_PATH, (quality < MIN_QUALITY)[:, None] | ~np.isfinite(place))
     flaws.add(Flaw.CLIPPED, clipped)
     flaws.add(Flaw.HUM, background.humming)
-    keep = ~flaws.rejected
-    arrival_s, std_s = (np.where(keep, value, np.nan) / windows.sample_rate_hz for value in (place, std))
-    return SoundArrivals("gcc-phat", arrival_s, std_s, flaws, quality)
+    return _kept("gcc-phat", rows, windows, place, std, flaws, quality)
 
 
 def _is_loud(samples: NDArray[np.float32], background: Background) -> NDArray[np.bool_]:
