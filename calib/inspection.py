@@ -152,11 +152,10 @@ def plot_path(session: Path, number: int, output: Path | None) -> Path:
 
 
 def _centre(sound: SoundArrivals, row: int, windows: EmissionWindows) -> int:
-    arrivals = sound.arrival_s[row]
-    if not np.isfinite(arrivals).any():
+    arrivals = sound.arrival_s[row][np.isfinite(sound.arrival_s[row])]
+    if len(arrivals) == 0:
         return windows.n_samples // 2 - windows.n_played // 2
-    first = int(windows.first_samples[row])
-    return round(float(np.nanmedian(arrivals)) * windows.sample_rate_hz) - first
+    return round(float(np.median(arrivals)) * windows.sample_rate_hz - float(windows.first_samples[row]))
 
 
 def _around(output: NDArray[Any], centre: int, sample_rate_hz: float) -> tuple[FloatArray, FloatArray]:

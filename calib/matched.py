@@ -66,7 +66,7 @@ class Peaks:
     misfit : array
         Root mean square of what the pulse leaves around its peak, over what noise and an imperfect template leave.
     second : array
-        The highest later peak over the direct one.
+        The highest envelope elsewhere over the direct sound's.
     second_samples : array
         How much later it is.
     echo : array
@@ -142,7 +142,7 @@ class MatchedFilter:
     @cached_property
     def lobe(self) -> FloatArray:
         """How high (n_channels,) the pulse's next swing is, of either sign, over its peak: 1 is a tone."""
-        heights = np.abs(self.pulses[:, : self._n // 2]) / self.pulses[:, :1]
+        heights = np.abs(self.pulses[:, : self._n // 2]) / np.maximum(self.pulses[:, :1], 1e-300)
         falls = np.diff(heights, axis=1) < 0
         valley = np.argmin(falls, axis=1)  # the first sample from which it rises again
         later = np.arange(heights.shape[1]) >= valley[:, None]
@@ -163,7 +163,7 @@ class MatchedFilter:
             envelope[:, :, : self._last_sample], self._foothills, self._max_tdoa_samples, self.noise_rms
         )
         place, value = refine_peaks(real, first)
-        amplitude = value / self.pulses[:, 0]
+        amplitude = value / np.maximum(self.pulses[:, 0], 1e-300)
         disturbance = self._disturbance(real, first, amplitude)
         misfit = self._misfit(real, place, amplitude, disturbance)
         with np.errstate(divide="ignore"):
@@ -200,7 +200,7 @@ class MatchedFilter:
         spectrum = np.zeros((len(self._pulse_spectrum), self._n), dtype=complex)
         spectrum[:, : self._n // 2 + 1] = 2 * self._pulse_spectrum
         envelope = np.abs(ifft(spectrum, axis=1))
-        return np.asarray(envelope[:, : self._max_tdoa_samples + 1] / envelope[:, :1])
+        return np.asarray(envelope[:, : self._max_tdoa_samples + 1] / np.maximum(envelope[:, :1], 1e-300))
 
     def _disturbance(self, real: NDArray[np.float32], first: NDArray[np.intp], amplitude: FloatArray) -> FloatArray:
         begin, end = round(PRE_S * self._rate_hz), round(PRE_END_S * self._rate_hz)
@@ -230,7 +230,7 @@ class MatchedFilter:
         pulse = lower + (exact - below) * (upper - lower)
         rest = np.mean((around - amplitude[..., None] * pulse) ** 2, axis=2)
         allowed = (self.noise_rms * disturbance) ** 2 + (TEMPLATE_ERROR * amplitude * self.pulses[:, 0]) ** 2
-        return np.asarray(np.sqrt(rest / allowed))
+        return np.asarray(np.sqrt(rest / np.maximum(allowed, 1e-300)))
 
 
 def _converter_band(n_bins: int) -> FloatArray:

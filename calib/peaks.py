@@ -38,9 +38,9 @@ def first_strong_peaks(
     -------
     first : (n, n_channels) integer array
     second : (n, n_channels) array
-        The highest envelope after it, beyond its own foothills, over it.
+        The highest envelope elsewhere, beyond its own foothills, over it.
     second_lag : (n, n_channels) array
-        In samples.
+        How much later that is, in samples.
     """
     strongest = np.argmax(envelopes, axis=2)
     lags = np.arange(-reach_samples - 1, 2)
@@ -56,9 +56,9 @@ def first_strong_peaks(
     first = places[..., 1:-1]
     first = np.take_along_axis(first, np.argmax(strong, axis=2)[..., None], axis=2)
     height = np.take_along_axis(envelopes, first, axis=2)[..., 0]
-    later = np.where(np.arange(envelopes.shape[2]) > first + FOOT_SAMPLES, envelopes, 0)
-    second = np.argmax(later, axis=2)
-    ratio = np.take_along_axis(later, second[..., None], axis=2)[..., 0] / np.maximum(height, 1e-30)
+    elsewhere = np.where(np.abs(np.arange(envelopes.shape[2]) - first) > FOOT_SAMPLES, envelopes, 0)
+    second = np.argmax(elsewhere, axis=2)
+    ratio = np.take_along_axis(elsewhere, second[..., None], axis=2)[..., 0] / np.maximum(height, 1e-30)
     return first[..., 0], ratio.astype(float), (second - first[..., 0]).astype(float)
 
 

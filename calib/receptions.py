@@ -23,6 +23,7 @@ DISTURBED_RATIO = 2.5
 ECHO_EMISSIONS = 6  # per buzzer, to tell echo from direct sound
 SECOND_SHARE, SECOND_RATIO = 0.5, 2.0  # of the direct sound; over what is usual in the session
 SPREAD_RATIO = 20.0
+LOUDER_RATIO = 2.0
 MOST_CHANNELS = 0.6
 INVERTED_SHARE = 0.5
 DEAD_SHARE = 0.95
@@ -38,11 +39,14 @@ class Receptions:
     peaks : Peaks
         Of (n_emissions, n_channels).
     clipped, not_numbers : (n_emissions, n_channels) bool arrays
+    level : (n_emissions, n_channels) array
+        Root mean square of the windows.
     """
 
     peaks: Peaks
     clipped: BoolArray
     not_numbers: BoolArray
+    level: FloatArray
 
 
 class Listener:
@@ -89,17 +93,18 @@ class Listener:
         """Find all emissions."""
         shape = (len(self._buzzer), self._windows.n_channels)
         table = {one.name: np.full(shape, np.nan) for one in fields(Peaks)}
-        clipped, not_numbers = np.zeros((2, *shape), dtype=bool)
+        clipped, not_numbers, level = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape)
         for buzzer in np.unique(self._buzzer):
             matched = self.filter(int(buzzer))
             for sound in self._windows.batches(np.flatnonzero(self._buzzer == buzzer)):
                 not_numbers[sound.rows] = sound.not_numbers
+                level[sound.rows] = np.sqrt(np.mean(sound.samples**2, axis=2, dtype=float))
                 clipped[sound.rows] = (np.abs(sound.samples) >= clip_level).any(axis=2)
                 if matched is not None:
                     peaks = matched.peaks(sound)
                     for name, column in table.items():
                         column[sound.rows] = getattr(peaks, name)
-        return Receptions(Peaks(**table), clipped, not_numbers)
+        return Receptions(Peaks(**table), clipped, not_numbers, level)
 
     def lobes(self) -> FloatArray:
         """Return how high (n_emissions, n_channels) the filtered pulse's next swing is over its peak."""
@@ -148,7 +153,9 @@ def find_flaws(
     for original, copy in listener.background.twins():
         if not flaws.table[Flaw.DEAD_CHANNEL][:, [original, copy]].any():
             flaws.add(Flaw.COPIED_CHANNEL, np.arange(flaws.shape[1]) == copy)
-    flaws.add(Flaw.WRONG_WAVEFORM, _spread_out(peaks, heard)[:, None])
+    louder = _most(_over_usual(receptions.level, heard) > LOUDER_RATIO, ~flaws.rejected)
+    spread_out = _spread_out(peaks, heard)
+    flaws.add(Flaw.WRONG_WAVEFORM, (spread_out & ~louder)[:, None])
     flaws.add(Flaw.NOT_HEARD, ~heard)
     flaws.add(Flaw.TWO_SOURCES, _two_sources(peaks, heard & ~flaws.rejected)[:, None])
     flaws.add(Flaw.AMBIGUOUS, (1 - listener.lobes()) * peaks.height < AMBIGUITY_SIGMAS)
@@ -156,7 +163,8 @@ def find_flaws(
     flaws.add(Flaw.CLIPPED, receptions.clipped)
     flaws.add(Flaw.INVERTED, _inverted(peaks, flaws.rejected))
     flaws.add(Flaw.HUM, listener.background.humming)
-    flaws.add(Flaw.DISTURBED, heard & (_over_usual(peaks.disturbance, heard) > DISTURBED_RATIO))
+    disturbed = heard & (_over_usual(peaks.disturbance, heard) > DISTURBED_RATIO)
+    flaws.add(Flaw.DISTURBED, disturbed | (spread_out & louder)[:, None])
     return flaws
 
 

@@ -36,7 +36,7 @@ class Scenario:
     n_poses: int = 8
     seed: int = 0
     max_order: int = 17
-    resonant: bool = True
+    quality: float | None = None  # of the only resonance; None: three resonances of a usual piezo
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def make_room_sound(scenario: Scenario) -> RoomSound:
     n_samples = round((start_s[-1] + SPACING_S) * RATE_HZ)
     sound = np.zeros((n_samples, 8))
     direct, arrival_s, bound_s = np.zeros((3, n_emissions, 8))
-    piezos = [piezo_response(rng, resonant=scenario.resonant) for _ in BUZZERS_M]
+    piezos = [piezo_response(rng, scenario.quality) for _ in BUZZERS_M]
     array_m = np.array(ROOM_M) / 2 + rng.uniform(-0.2, 0.2, 3) + ARRAY_M + rng.normal(0, 0.01, ARRAY_M.shape)
     for pose in range(scenario.n_poses):
         for buzzer, place_m in enumerate(board_in_room(array_m.mean(axis=0), scenario.distance_m, rng)):
@@ -117,10 +117,11 @@ def make_room_sound(scenario: Scenario) -> RoomSound:
     )
 
 
-def piezo_response(rng: np.random.Generator, *, resonant: bool):
+def piezo_response(rng: np.random.Generator, lone_quality: float | None):
     """Return a function of frequency: three resonances, each a little different in every buzzer."""
-    if not resonant:
-        return lambda frequency_hz: np.where((frequency_hz > 300) & (frequency_hz < 20000), 1.0, 0.0).astype(complex)
+    if lone_quality is not None:
+        tone_hz = 4000.0 * rng.uniform(0.99, 1.01)
+        return lambda frequency_hz: 1 / (1 - (frequency_hz / tone_hz) ** 2 + 1j * frequency_hz / tone_hz / lone_quality)
     centre_hz = np.array([2700.0, 4100.0, 6500.0]) * rng.uniform(0.95, 1.05, 3)
     quality = np.array([8.0, 5.0, 2.0]) * rng.uniform(0.8, 1.2, 3)
 
