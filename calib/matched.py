@@ -178,7 +178,8 @@ class MatchedFilter:
         spectra = rfft(sound.samples, axis=2)
         turn = np.exp(-1j * self._angular * peaks.place_samples[..., None])
         direct = peaks.amplitude[..., None] * self._spectrum * turn
-        direct *= np.real(np.sum(spectra * np.conj(direct), axis=2) / np.sum(np.abs(direct) ** 2, axis=2))[..., None]
+        power = np.maximum(np.sum(np.abs(direct) ** 2, axis=2), 1e-300)
+        direct *= np.real(np.sum(spectra * np.conj(direct), axis=2) / power)[..., None]
         rest = uniform_filter1d(np.abs(spectra - direct) ** 2, SMOOTHING_BINS, axis=2) - self._noise
         power = uniform_filter1d(np.abs(direct) ** 2, SMOOTHING_BINS, axis=2)
         clear = power > 0.3 * uniform_filter1d(self._noise, SMOOTHING_BINS, axis=1)

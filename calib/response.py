@@ -23,7 +23,7 @@ from rigs.waveform import Waveform
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MAX_EMISSIONS = 24  # per buzzer: each adds a reception per channel
+MAX_EMISSIONS = 12  # per buzzer: each adds a reception per channel
 N_ROUNDS = 5
 SEARCH_S = 0.8e-3  # how far a first look may have been off
 BEFORE_S, RING_S, AFTER_S = 1.5e-3, 6e-3, 4e-3  # a response is kept that long around its peak, then fades
@@ -120,7 +120,7 @@ class ResponseLearner:
 
     def _delays(self, crosses: ComplexArray) -> FloatArray:
         """Return the delays (n,) in samples at which cross-spectra (n, n_bins) correlate best, of either sign."""
-        upsampling, reach = 16, round(SEARCH_S * self._windows.sample_rate_hz)
+        upsampling, reach = 4, round(SEARCH_S * self._windows.sample_rate_hz)
         lags = np.arange(-reach * upsampling, reach * upsampling + 1)
         correlation = np.abs(irfft(crosses, self._n_stretch * upsampling, axis=1)[:, lags])
         peak = np.clip(np.argmax(correlation, axis=1), 1, len(lags) - 2)

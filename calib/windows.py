@@ -70,7 +70,7 @@ class EmissionWindows:
         self.n_quiet = round(FLIGHT_S * self.sample_rate_hz)
         self.n_played = round(duration_s * self.sample_rate_hz)
         n_samples = 2 * n_before + self.n_played
-        self.n_samples = 2 * next_fast_len(-(-n_samples // 2), real=True)
+        self.n_samples: int = 2 * next_fast_len(-(-n_samples // 2), real=True)
         self.first_samples = expected_samples.astype(np.int64) - n_before
 
     @property
