@@ -23,9 +23,9 @@ FloatArray = NDArray[np.float64]
 
 N_CANDIDATES = 4
 OVERSAMPLING = 2  # between these the interpolation goes on
-LAG_SPAN = 8  # summed bins keep lags up to so many times the admissible ones, those nearly whole
+LAG_SPAN = 4  # summed bins keep lags up to so many times the admissible ones, those to nine tenths
 SIGNAL_TO_NOISE = 1.0
-SMOOTHING_SUMS = 15
+SMOOTHING_SUMS, SMOOTHING_BINS = 15, 31
 MIN_SCORE = 0.2  # of the best candidate of the pair
 
 
@@ -73,47 +73,56 @@ class PairCorrelator:
 
     def candidates(self, samples: NDArray[np.float32]) -> Candidates:
         """Find the peaks of all pairs in windows (n, n_channels, n_samples)."""
-        crosses, first = self._summed_crosses(samples)
+        parts, first = self._levelled(samples)
         pairs = self.pairs(samples.shape[1])
-        of_pairs = crosses[:, :, pairs[:, 1], pairs[:, 0]].transpose(0, 2, 1)
-        powers = np.real(np.diagonal(crosses, axis1=2, axis2=3)).transpose(0, 2, 1)
-        coherence = np.abs(of_pairs) ** 2 / np.maximum(powers[:, pairs[:, 0]] * powers[:, pairs[:, 1]], 1e-30)
-        coherence = np.clip((coherence - 1 / self._n_summed) / max(1 - 1 / self._n_summed, 1e-9), 0.0, 0.999)
-        coherence = uniform_filter1d(coherence, SMOOTHING_SUMS, axis=2)
-        lags, heights = self._peaks(self._correlation(of_pairs * coherence, first))
-        whole = np.sum(np.sqrt(powers[:, pairs[:, 0]] * powers[:, pairs[:, 1]]) * coherence, axis=2)
+        crosses = _summed_products(parts, pairs)
+        powers = np.sum(np.abs(parts) ** 2, axis=0)
+        weights = self._coherence(crosses, powers)
+        crosses *= weights[:, None]
+        lags, heights = self._peaks(self._correlation(crosses, first))
+        whole = np.sum(np.sqrt(powers[:, pairs[:, 0]] * powers[:, pairs[:, 1]]) * weights[:, None], axis=2)
         scores = np.clip(heights / np.maximum(whole, 1e-30)[..., None], 0.0, 0.9999)
-        return Candidates(lags, scores, self._std(coherence, scores[..., 0], first))
+        return Candidates(lags, scores, self._std(weights, scores[..., 0], first))
 
     def with_first(self, samples: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
         """Return lags (n_lags,) in samples, and every channel's correlation (n_channels, n_lags) with the first."""
-        crosses, first = self._summed_crosses(samples[None])
-        correlation = self._correlation(crosses[:, :, :, 0].transpose(0, 2, 1), first)[0]
+        parts, first = self._levelled(samples[None])
+        against_first = np.array([[0, column] for column in range(len(samples))], dtype=np.int32)
+        correlation = self._correlation(_summed_products(parts, against_first), first)[0]
         middle = correlation.shape[1] // 2
         return (np.arange(correlation.shape[1]) - middle) * self._lag_step, correlation
 
-    def _summed_crosses(self, samples: NDArray[np.float32]) -> tuple[NDArray[np.complex64], int]:
-        """Return cross-spectra (n, n_sums, n_channels, n_channels) of neighbouring bins, and the first's number."""
+    def _levelled(self, samples: NDArray[np.float32]) -> tuple[NDArray[np.complex64], int]:
+        """Return levelled spectra (n_summed, n, n_channels, n_sums), and the number of the first sum."""
         spectra = rfft(samples, axis=2)
-        power = np.abs(spectra) ** 2
-        usable = self._usable_bins(power)
+        magnitude = np.abs(spectra)
+        usable = self._usable_bins(magnitude)
         bins = np.flatnonzero(usable)
         begin, end = (int(bins[0]), int(bins[-1])) if len(bins) else (self._n_summed, self._n_summed)
         half = self._n_summed // 2
         first = max(1, -(-begin // self._n_summed))  # sums are around multiples of their length
         last = max(first, min(end, spectra.shape[2] - 1 - half) // self._n_summed)
         chosen = slice(first * self._n_summed - half, last * self._n_summed + half + 1)
-        floor = MAGNITUDE_FLOOR * np.sqrt(power.max(axis=2, keepdims=True))
-        levelled = spectra[:, :, chosen] / np.maximum(np.sqrt(power[:, :, chosen]), np.maximum(floor, 1e-30))
-        levelled *= usable[chosen]
-        blocks = levelled.reshape(*samples.shape[:2], -1, self._n_summed).transpose(0, 2, 1, 3)
-        return blocks @ np.conj(blocks).transpose(0, 1, 3, 2), first
+        floor = np.maximum(MAGNITUDE_FLOOR * magnitude.max(axis=2, keepdims=True), np.float32(1e-30))
+        levelled = spectra[:, :, chosen] * (usable[chosen] / np.maximum(magnitude[:, :, chosen], floor))
+        parts = levelled.reshape(*samples.shape[:2], -1, self._n_summed)
+        return np.ascontiguousarray(parts.transpose(3, 0, 1, 2)), first
 
-    def _usable_bins(self, power: NDArray[np.float32]) -> NDArray[np.bool_]:
-        whole = np.arange(power.shape[2]) < 2 * CONVERTER_END * power.shape[2]
+    def _coherence(self, crosses: NDArray[np.complex64], powers: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return how coherent (n, n_sums) the channels are, over all pairs and neighbouring sums, without its bias."""
+        common = np.sum(crosses.real**2 + crosses.imag**2, axis=1)
+        possible = (np.sum(powers, axis=1) ** 2 - np.sum(powers**2, axis=1)) / 2
+        common, possible = (uniform_filter1d(value, SMOOTHING_SUMS, axis=1) for value in (common, possible))
+        coherence = common / np.maximum(possible, 1e-30)
+        unbiased = (coherence - 1 / self._n_summed) / (1 - 0.999 / self._n_summed)
+        return np.asarray(np.clip(unbiased, 0, 0.999), dtype=np.float32)
+
+    def _usable_bins(self, magnitude: NDArray[np.float32]) -> NDArray[np.bool_]:
+        whole = np.arange(magnitude.shape[2]) < 2 * CONVERTER_END * magnitude.shape[2]
         if self._noise is None:
             return np.asarray(whole)
-        signal = uniform_filter1d(power.mean(axis=0, dtype=float) / self._noise, 31, axis=1).max(axis=0) - 1
+        power = np.mean(magnitude**2, axis=0, dtype=float)
+        signal = uniform_filter1d(power / self._noise, SMOOTHING_BINS, axis=1).max(axis=0) - 1
         return np.asarray(whole & (signal > SIGNAL_TO_NOISE))
 
     def _correlation(self, crosses: NDArray[np.complex64], first: int) -> FloatArray:
@@ -127,18 +136,34 @@ class PairCorrelator:
     def _peaks(self, correlation: FloatArray) -> tuple[FloatArray, FloatArray]:
         middle = correlation.shape[2] // 2
         inside = np.abs(np.arange(correlation.shape[2]) - middle) <= self._reach / self._lag_step
-        rises = (correlation > np.roll(correlation, 1, 2)) & (correlation >= np.roll(correlation, -1, 2)) & inside
-        heights = np.where(rises, correlation, -np.inf)
-        highest = np.argpartition(heights, -N_CANDIDATES, axis=2)[..., -N_CANDIDATES:]
-        order = np.argsort(-np.take_along_axis(heights, highest, axis=2), axis=2)
-        highest = np.take_along_axis(highest, order, axis=2)
-        places, values = zip(*(refine_peaks(correlation, highest[..., k]) for k in range(N_CANDIDATES)), strict=True)
-        lags, scores = np.stack(places, axis=2), np.stack(values, axis=2)
-        found = np.isfinite(np.take_along_axis(heights, highest, axis=2)) & (scores > MIN_SCORE * scores[..., :1])
-        return np.where(found, (lags - middle) * self._lag_step, np.nan), np.where(found, scores, 0.0)
+        heights = np.full_like(correlation, -np.inf)
+        inner = correlation[..., 1:-1]
+        rises = (inner > correlation[..., :-2]) & (inner >= correlation[..., 2:]) & inside[1:-1]
+        np.copyto(heights[..., 1:-1], inner, where=rises)
+        lags, scores = np.full((2, *correlation.shape[:2], N_CANDIDATES), np.nan)
+        for number in range(N_CANDIDATES):
+            highest = np.argmax(heights, axis=2)
+            found = np.isfinite(np.take_along_axis(heights, highest[..., None], axis=2)[..., 0])
+            np.put_along_axis(heights, highest[..., None], -np.inf, axis=2)
+            place, value = refine_peaks(correlation, highest, reach=1)
+            lags[..., number] = np.where(found, (place - middle) * self._lag_step, np.nan)
+            scores[..., number] = np.where(found, value, 0.0)
+        low = scores < MIN_SCORE * scores[..., :1]
+        return np.where(low, np.nan, lags), np.where(low, 0.0, scores)
 
-    def _std(self, weights: FloatArray, scores: FloatArray, first: int) -> FloatArray:
+    def _std(self, weights: NDArray[np.float32], scores: FloatArray, first: int) -> FloatArray:
         """Return the standard deviation (n, n_pairs) of the lags in samples, from how coherent pairs are as a whole."""
-        angular = 2 * np.pi * self._n_summed * (first + np.arange(weights.shape[2])) / self._n_samples
-        information = 2 * self._n_summed * np.sum(angular**2 * weights, axis=2) * scores**2 / (1 - scores**2)
+        angular = 2 * np.pi * self._n_summed * (first + np.arange(weights.shape[1])) / self._n_samples
+        information = 2 * self._n_summed * (weights @ angular**2)[:, None] * scores**2 / (1 - scores**2)
         return np.asarray(1 / np.sqrt(np.maximum(information, 1e-30)))
+
+
+def _summed_products(parts: NDArray[np.complex64], pairs: NDArray[np.int32]) -> NDArray[np.complex64]:
+    """Sum X_j conj(X_i) over the first axis of (n_summed, n, n_channels, n_sums), to (n, n_pairs, n_sums)."""
+    _, n, _, n_sums = parts.shape
+    total = np.zeros((n, len(pairs), n_sums), dtype=np.complex64)
+    for part in parts:
+        conjugate = np.conj(part)
+        for number, (i, j) in enumerate(pairs):
+            total[:, number] += part[:, j] * conjugate[:, i]
+    return total

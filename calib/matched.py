@@ -44,6 +44,7 @@ FINE_HALF_SAMPLES = 256
 TEMPLATE_ERROR = 0.02  # of the pulse's height: the same in all channels, so it moves none against another
 USUAL_MISFIT = 1.5
 CONVERTER_FLAT, CONVERTER_END = 0.42, 0.45  # of the sample rate
+CLEAR_HEIGHT = 8.0
 MARGIN_S = 0.5e-3  # from the window's ends
 
 
@@ -183,7 +184,8 @@ class MatchedFilter:
         rest = uniform_filter1d(np.abs(spectra - direct) ** 2, SMOOTHING_BINS, axis=2) - self._noise
         power = uniform_filter1d(np.abs(direct) ** 2, SMOOTHING_BINS, axis=2)
         clear = power > 0.3 * uniform_filter1d(self._noise, SMOOTHING_BINS, axis=1)
-        share = np.where(clear & (peaks.height > 8)[..., None], rest / np.maximum(power, 1e-300), np.nan)
+        clear &= (peaks.height > CLEAR_HEIGHT)[..., None]
+        share = np.where(clear, rest / np.where(clear, power, 1.0), np.nan)
         with catch_warnings():
             simplefilter("ignore", RuntimeWarning)  # of channels that heard nothing
             return np.asarray(np.nanmedian(share, axis=2))

@@ -17,7 +17,6 @@ FOOT_SAMPLES = 24
 HALF_WIDTH_SAMPLES = 24
 KAISER_BETA = 8.0
 GRID_REACH, GRID_PER_SAMPLE = 3, 32
-N_TAPS = HALF_WIDTH_SAMPLES + GRID_REACH
 
 
 def first_strong_peaks(
@@ -62,7 +61,9 @@ def first_strong_peaks(
     return first[..., 0], ratio.astype(float), (second - first[..., 0]).astype(float)
 
 
-def refine_peaks(signals: NDArray[np.floating], places: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+def refine_peaks(
+    signals: NDArray[np.floating], places: NDArray[np.intp], reach: int = GRID_REACH
+) -> tuple[FloatArray, FloatArray]:
     """Find the extremum of band-limited signals near whole samples.
 
     The interpolation and its first two derivatives are evaluated on a fine grid; from the highest point of it one
@@ -72,14 +73,16 @@ def refine_peaks(signals: NDArray[np.floating], places: NDArray[np.intp]) -> tup
     ----------
     signals : (..., n_samples) array
     places : (...) integer array
+    reach : int
+        How many samples away it may be.
 
     Returns
     -------
     place : (...) array, in samples
     value : (...) array, the signal there
     """
-    grid, interpolation = _interpolation()
-    taps = np.arange(-N_TAPS, N_TAPS + 1)
+    grid, interpolation = _interpolation(reach)
+    taps = np.arange(-HALF_WIDTH_SAMPLES - reach, HALF_WIDTH_SAMPLES + reach + 1)
     index = np.clip(places[..., None] + taps, 0, signals.shape[-1] - 1)
     around = np.take_along_axis(signals, index, axis=-1).astype(float)
     value, slope, curvature = np.split(around @ interpolation, 3, axis=-1)
@@ -91,10 +94,10 @@ def refine_peaks(signals: NDArray[np.floating], places: NDArray[np.intp]) -> tup
 
 
 @cache
-def _interpolation() -> tuple[FloatArray, FloatArray]:
+def _interpolation(reach: int) -> tuple[FloatArray, FloatArray]:
     """Return a grid around zero in samples, and the matrix (n_taps, 3 n_grid) for value, slope and curvature on it."""
-    grid = np.arange(-GRID_REACH * GRID_PER_SAMPLE, GRID_REACH * GRID_PER_SAMPLE + 1) / GRID_PER_SAMPLE
-    distance = grid - np.arange(-N_TAPS, N_TAPS + 1)[:, None]
+    grid = np.arange(-reach * GRID_PER_SAMPLE, reach * GRID_PER_SAMPLE + 1) / GRID_PER_SAMPLE
+    distance = grid - np.arange(-HALF_WIDTH_SAMPLES - reach, HALF_WIDTH_SAMPLES + reach + 1)[:, None]
     step = 1e-3
     here, after, before = (_kernel(distance + shift) for shift in (0.0, step, -step))
     return grid, np.hstack([here, (after - before) / (2 * step), (after - 2 * here + before) / step**2])
