@@ -12,7 +12,7 @@ from rigs.command import run
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calib.methods import Method
+    from calib.settings import Method
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
@@ -66,10 +66,10 @@ def command(
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
-    from calib.methods import Settings
     from calib.pipeline import calibrate
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
+    from calib.settings import Settings
     from rigs.session.reader import Session
 
     console = Console()

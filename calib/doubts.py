@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import View
-from calib.measurements import Measurements
-from calib.solve import Solution, SpeedPrior
+from calib.fit import FittedTdoas, robust_sigma
+from rigs.description import Medium, RigDescription
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
@@ -40,31 +40,30 @@ def view_doubts(view: View) -> list[str]:
     return [doubt]
 
 
-def speed_doubts(speed_m_s: float, prior: SpeedPrior) -> list[str]:
+def speed_doubts(speed_m_s: float, medium: Medium) -> list[str]:
     """Say when sound and pictures do not agree on the scale of the world."""
-    deviation = (speed_m_s - prior.mean_m_s) / prior.std_m_s
+    deviation = (speed_m_s - medium.speed_m_s()) / medium.speed_std_m_s()
     if abs(deviation) < DOUBTFUL_SPEED_SIGMAS:
         return []
     doubt = (
         f"the speed of sound came out at {speed_m_s:.1f} m/s, {abs(deviation):.1f} standard deviations from the rig's "
-        f"{prior.mean_m_s:.1f} m/s: check medium in the rig description, and that the board was printed to scale"
+        f"{medium.speed_m_s():.1f} m/s: check medium in the rig description, and that the board was printed to scale"
     )
     return [doubt]
 
 
-def fit_doubts(measured: Measurements, solution: Solution) -> list[str]:
+def fit_doubts(description: RigDescription, fitted: FittedTdoas) -> list[str]:
     """Say when TDOAs do not fit: too many rejected, with the likely culprit, or too large a scatter."""
     doubts = []
-    present = measured.problem.present
-    rejected = present & ~solution.used
-    share = rejected.sum() / present.sum()
+    rejected = fitted.present & ~fitted.used
+    share = rejected.sum() / fitted.present.sum()
     if share > LARGE_REJECTED_SHARE:
-        doubts.append(f"{share:.0%} of the TDOAs do not fit and were rejected{_culprit(measured, rejected, present)}")
-    speed_m_s = solution.estimate.speed_of_sound_m_s
-    expected_s = float(np.hypot(USUAL_SIGMA_S, measured.description.board.buzzer_std_m / speed_m_s))
-    if solution.robust_sigma_s > LARGE_SIGMA_FACTOR * expected_s:
+        doubts.append(f"{share:.0%} of the TDOAs do not fit and were rejected{_culprit(fitted, rejected)}")
+    expected_s = float(np.hypot(USUAL_SIGMA_S, description.board.buzzer_std_m / fitted.speed_m_s))
+    sigma_s = robust_sigma(fitted.residuals_s)
+    if sigma_s > LARGE_SIGMA_FACTOR * expected_s:
         doubts.append(
-            f"TDOAs scatter by {1e6 * solution.robust_sigma_s:.1f} us, usual is {1e6 * expected_s:.1f} us: noise or "
+            f"TDOAs scatter by {1e6 * sigma_s:.1f} us, usual is {1e6 * expected_s:.1f} us: noise or "
             "echo, or buzzers that are not where board.buzzers says"
         )
     return doubts
@@ -83,12 +82,11 @@ def spread_doubts(covariance_m2: FloatArray, channels: tuple[int, ...]) -> list[
     return [doubt]
 
 
-def _culprit(measured: Measurements, rejected: NDArray[np.bool_], present: NDArray[np.bool_]) -> str:
-    """Name the buzzers, channels or poses most of whose TDOAs were rejected, empty where none stands out."""
-    rows = np.isin(measured.tdoas.pose, measured.view.pose)
+def _culprit(fitted: FittedTdoas, rejected: NDArray[np.bool_]) -> str:
+    """Name the buzzers or poses most of whose TDOAs were rejected, empty where none stands out."""
     kinds = {
-        "buzzer": (measured.tdoas.buzzer[rows], rejected.sum(axis=1), present.sum(axis=1)),
-        "pose": (measured.tdoas.pose[rows], rejected.sum(axis=1), present.sum(axis=1)),
+        "buzzer": (fitted.buzzer, rejected.sum(axis=1), fitted.present.sum(axis=1)),
+        "pose": (fitted.pose, rejected.sum(axis=1), fitted.present.sum(axis=1)),
     }
     for kind, (labels, n_rejected, n_present) in kinds.items():
         shares = {

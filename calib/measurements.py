@@ -1,4 +1,4 @@
-"""All that a solve rests on, so that it can be solved again with a part of it changed."""
+"""All that a solve by a method of the paper rests on, so that it can be solved again with a part of it changed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.answer import Answer
 from calib.camera import View, look
 from calib.corners import PoseCorners
+from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
-from calib.methods import Settings, make_problem, refit, speed_prior
-from calib.problem import TdoaProblem
-from calib.solve import Solution
+from calib.fit import FittedTdoas
+from calib.joint.uncertainty import microphone_covariances
+from calib.methods import make_problem, refit, solve
+from calib.problem import Estimate, TdoaProblem
+from calib.settings import Settings
 from calib.uncertainty import descriptions_off_by_one_std, jackknife_covariance, shift_covariance
 from rigs.description import RigDescription
 
@@ -55,12 +59,33 @@ class Measurements:
         """Return the same measurements, taken to be of another rig."""
         return replace(self, description=description)
 
-    def covariance(self, solution: Solution) -> FloatArray:
-        """Return the covariance (3 n_mics + 1, 3 n_mics + 1) of a solution: microphones, then the speed of sound."""
+    def answer(self) -> Answer:
+        """Solve; the standard deviations come from solving again and again (jackknife).
+
+        Raises
+        ------
+        MethodError, NotConvergedError
+        """
+        estimate = solve(self.problem, self.description, self.settings)
+        covariance = self.covariance(estimate)
+        residuals_s = self.problem.residuals(estimate)
+        buzzer = self.tdoas.buzzer[np.isin(self.tdoas.pose, self.view.pose)]
+        fitted = FittedTdoas(self.problem.pose, buzzer, residuals_s, self.problem.present, estimate.speed_of_sound_m_s)
+        return Answer(
+            microphones_m=estimate.microphones_m,
+            covariance_m2=microphone_covariances(covariance, len(estimate.microphones_m)),
+            speed_of_sound_m_s=estimate.speed_of_sound_m_s,
+            speed_of_sound_std_m_s=float(np.sqrt(covariance[-1, -1])),
+            view=self.view,
+            residual=fitted.residual(),
+            warnings=fit_doubts(self.description, fitted),
+        )
+
+    def covariance(self, estimate: Estimate) -> FloatArray:
+        """Return the covariance (3 n_mics + 1, 3 n_mics + 1) of an estimate: microphones, then the speed of sound."""
 
         def solved(part: Measurements) -> FloatArray:
-            used = solution.used[np.isin(self.problem.pose, part.view.pose)]
-            return refit(part.problem, solution, used, self.settings, speed_prior(part.description)).vector()
+            return refit(part.problem, estimate, part.description.medium.speed_m_s(), self.settings).vector()
 
         shifted = [solved(self.described(other)) for other in descriptions_off_by_one_std(self.description)]
         by_pose = jackknife_covariance(self.corners.pose, lambda poses: solved(self.without(poses)))

@@ -1,9 +1,6 @@
-"""The ways to solve: the paper's three by Gauss-Newton, and the joint one."""
+"""The paper's three methods: which TDOAs each takes, and its solve by Gauss-Newton."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,44 +10,15 @@ from calib.camera import View
 from calib.emissions import EmissionTdoas
 from calib.errors import MethodError, NotConvergedError, NotEnoughDataError
 from calib.problem import Estimate, TdoaProblem
-from calib.solve import Solution, SpeedPrior, refine_joint, robust_sigma, solve_joint
-from calib.sound import TdoaMode
-from calib.start import find_start
+from calib.settings import Settings
 from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]
 
-Method = Literal["joint", "ours-1", "ours-2", "ours-3"]
-
 # Norm of the last step, as published (arXiv 2502.06196 and its authors' code).
 STEP_THRESHOLDS_M = {"ours-1": 1e-3, "ours-2": 1e-4, "ours-3": 1e-3}
 MIN_TDOAS = 12
-LEAST_STD_S = 1e-8  # of an arrival: corners and poses are no better than that
 MAX_REACH_M = 20.0  # a microphone further off is a fit at infinity
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the user may choose.
-
-    Parameters
-    ----------
-    method : {"joint", "ours-1", "ours-2", "ours-3"}
-    seed : int
-        For first guesses drawn at random.
-    reference_channel : int or None
-        Input channel of the reference microphone of ours-1; None: the first.
-    excluded_channels : tuple of int
-        Input channels to leave out.
-    tdoa : {"auto", "matched", "gcc-phat"}
-        How arrivals are measured in the sound.
-    """
-
-    method: Method = "joint"
-    seed: int = 0
-    reference_channel: int | None = None
-    excluded_channels: tuple[int, ...] = ()
-    tdoa: TdoaMode = "auto"
 
 
 def microphone_channels(description: RigDescription, settings: Settings) -> tuple[int, ...]:
@@ -104,34 +72,19 @@ def make_problem(description: RigDescription, view: View, tdoas: EmissionTdoas, 
         pairs=np.array([[number[int(i)], number[int(j)]] for i, j in tdoas.pairs[columns]], dtype=np.int32),
         n_mics=len(channels),
         known_m=np.array([] if reference is None else reference.position_m, dtype=float).reshape(-1, 3),
-        arrival_std_s=_arrival_std_s(description, tdoas, channels + known, rows)
-        if settings.method == "joint"
-        else None,
     )
 
 
-def _arrival_std_s(
-    description: RigDescription, tdoas: EmissionTdoas, channels: tuple[int, ...], rows: NDArray[np.intp]
-) -> FloatArray | None:
-    """Return how far arrivals (n_emissions, n_nodes) may be off, by the sound and by the buzzers' places."""
-    if tdoas.sound is None:
-        return None
-    recorded = description.audio.recorded_channels()
-    columns = np.array([recorded.index(channel) for channel in channels])
-    place_s = description.board.buzzer_std_m / description.medium.speed_m_s()
-    return np.asarray(np.hypot(tdoas.sound.std_s[np.ix_(rows, columns)], max(place_s, LEAST_STD_S)))
-
-
-def check_heard(problem: TdoaProblem, channels: tuple[int, ...]) -> None:
-    """Refuse a problem in which a microphone has hardly any TDOA.
+def check_heard(tdoas: EmissionTdoas, channels: tuple[int, ...]) -> None:
+    """Refuse a session in which a microphone has hardly any TDOA.
 
     Raises
     ------
     NotEnoughDataError
         Naming the first such microphone.
     """
-    for node, channel in enumerate(channels):
-        n_tdoas = int(problem.present[:, (problem.pairs == node).any(axis=1)].sum())
+    for channel in channels:
+        n_tdoas = int(np.isfinite(tdoas.tdoa_s[:, (tdoas.pairs == channel).any(axis=1)]).sum())
         if n_tdoas < MIN_TDOAS:
             raise NotEnoughDataError(
                 f"channel {channel} heard no emission well enough ({n_tdoas} TDOAs): check its cable and gain and "
@@ -139,39 +92,28 @@ def check_heard(problem: TdoaProblem, channels: tuple[int, ...]) -> None:
             )
 
 
-def solve(problem: TdoaProblem, description: RigDescription, settings: Settings) -> Solution:
-    """Solve by the chosen method.
+def solve(problem: TdoaProblem, description: RigDescription, settings: Settings) -> Estimate:
+    """Solve by one of the paper's methods.
 
     Raises
     ------
-    NotConvergedError, NotEnoughDataError
+    NotConvergedError
     """
-    prior = speed_prior(description)
-    if settings.method == "joint":
-        return solve_joint(problem, find_start(problem, prior, settings.seed), prior)
-    box = description.calibration.start_box_m
+    box, speed_m_s = description.calibration.start_box_m, description.medium.speed_m_s()
     drawn_m = draw_start(problem.n_mics, np.array(box.low_m), np.array(box.high_m), settings.seed)
-    run = gauss_newton(problem, Estimate(drawn_m, prior.mean_m_s), STEP_THRESHOLDS_M[settings.method])
+    run = gauss_newton(problem, Estimate(drawn_m, speed_m_s), STEP_THRESHOLDS_M[settings.method])
     if not run.converged or np.abs(run.estimate.microphones_m).max() > MAX_REACH_M:
         raise NotConvergedError(
             f"{settings.method}: Gauss-Newton did not settle, or ran away, from the first guess of seed "
             f"{settings.seed}: try another --seed, or --method joint, which needs no first guess"
         )
-    return _least_squares_solution(problem, run.estimate)
+    return run.estimate
 
 
-def refit(problem: TdoaProblem, solution: Solution, used: NDArray[np.bool_], settings: Settings,
-          prior: SpeedPrior) -> Estimate:  # fmt: skip
-    """Solve a slightly different problem again, from a solution and with its choice of TDOAs."""
-    if settings.method == "joint":
-        return refine_joint(problem, solution.estimate, used, solution.scale, prior)
-    start = Estimate(solution.estimate.microphones_m, prior.mean_m_s)
+def refit(problem: TdoaProblem, estimate: Estimate, speed_m_s: float, settings: Settings) -> Estimate:
+    """Solve a slightly different problem again, from an estimate."""
+    start = Estimate(estimate.microphones_m, speed_m_s)
     return gauss_newton(problem, start, STEP_THRESHOLDS_M[settings.method]).estimate
-
-
-def speed_prior(description: RigDescription) -> SpeedPrior:
-    """Return what the rig description says of the speed of sound."""
-    return SpeedPrior(description.medium.speed_m_s(), description.medium.speed_std_m_s())
 
 
 def _chosen_pairs(
@@ -183,7 +125,6 @@ def _chosen_pairs(
     reference = channels[0] if settings.reference_channel is None else settings.reference_channel
     n_mics = len(channels)
     chosen, needed = {
-        "joint": (among | with_known, n_mics - 1),
         "ours-1": (among & (pairs == reference).any(axis=1), n_mics - 1),
         "ours-2": (among, n_mics * (n_mics - 1) // 2),
         "ours-3": (with_known, n_mics),
@@ -199,9 +140,3 @@ def _chosen_pairs(
             "choose another --method or --reference, or import other measurements"
         )
     return np.flatnonzero(chosen)
-
-
-def _least_squares_solution(problem: TdoaProblem, estimate: Estimate) -> Solution:
-    residuals_s = problem.residuals(estimate)
-    sigma_s = robust_sigma(residuals_s)
-    return Solution(estimate, residuals_s, problem.present, sigma_s, sigma_s)

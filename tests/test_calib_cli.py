@@ -60,7 +60,7 @@ def test_result_file_says_all_that_was_promised(session, capsys):
     assert set(result["evaluation"]) >= {"rmse_aligned_m", "distance_rmse_m", "paper_rmse_m"}
     assert result["session"] == {"name": "s1", "sha256": hashlib.sha256(before).hexdigest()}
     shown = capsys.readouterr().out
-    assert f"{1e3 * positions_m[0, 0]:+.2f}" in shown
+    assert f"{1e3 * positions_m[0, 0]:+.1f}" in shown
     assert "s1.calib.yaml" in shown
 
 

@@ -1,0 +1,38 @@
+"""What every method answers with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import View
+from calib.result import Residual
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Microphones, how sure they are, and what else came out.
+
+    Parameters
+    ----------
+    microphones_m : (n_mics, 3) array
+        Camera frame.
+    covariance_m2 : (n_mics, 3, 3) array
+    speed_of_sound_m_s, speed_of_sound_std_m_s : float
+    view : View
+        Camera and board poses.
+    residual : Residual
+    warnings : list of str
+    """
+
+    microphones_m: FloatArray
+    covariance_m2: FloatArray
+    speed_of_sound_m_s: float
+    speed_of_sound_std_m_s: float
+    view: View
+    residual: Residual
+    warnings: list[str] = field(default_factory=list)

@@ -1,0 +1,1 @@
+"""The joint problem: microphones, sound, board and camera in one least-squares adjustment."""

@@ -1,0 +1,182 @@
+"""The joint problem of a session: its measurements, and what its rig description says beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import View
+from calib.corners import PoseCorners
+from calib.emissions import EmissionTdoas
+from calib.joint.arrivals import ArrivalTable
+from calib.joint.corners import CornerTable
+from calib.joint.pairs import arrivals_of_pairs
+from calib.joint.problem import JointProblem, Priors
+from calib.joint.robust import JointSolution
+from calib.joint.unknowns import Blocks, Unknowns
+from rigs.board import board_corners_m
+from rigs.description import Camera, Intrinsics, RigDescription
+
+FloatArray = NDArray[np.float64]
+
+CORNER_STD_PX = 0.1  # only a first value: the scale is found from the residuals
+LEAST_ARRIVAL_STD_S = 1e-8  # corners and poses are no better than that
+DELAY_STD_S = 1e-3  # where delays are to be found
+# Of intrinsics that the rig description gives: lenses move with focus, temperature and every new calibration.
+GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_DISTORTION = 0.02, 0.02, 0.1
+# Of intrinsics found from the session: hardly a prior, but it keeps what nothing else tells from running away.
+FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_DISTORTION = 0.5, 0.2, 1.0
+
+BLOCK_NAMES = ("speed", "buzzers", "scale", "intrinsics", "poses")
+
+
+@dataclass(frozen=True)
+class PairTdoas:
+    """TDOAs of the emissions whose poses are known, in the order of the poses.
+
+    Parameters
+    ----------
+    pose, buzzer : (n_emissions,) integer arrays
+        The session's number of the pose, and the buzzer's id.
+    tdoa_s : (n_emissions, n_pairs) array
+    pairs : (n_pairs, 2) integer array
+        Microphones, numbered from 0.
+    alone : bool
+        There are no arrivals but what follows from these.
+    """
+
+    pose: NDArray[np.int32]
+    buzzer: NDArray[np.int32]
+    tdoa_s: FloatArray
+    pairs: NDArray[np.int32]
+    alone: bool
+
+    def residuals_s(self, solution: JointSolution) -> FloatArray:
+        """Return measured minus modelled TDOAs (n_emissions, n_pairs)."""
+        times_s = solution.problem.arrivals.flights(solution.at).times_s
+        return self.tdoa_s - (times_s[:, self.pairs[:, 1]] - times_s[:, self.pairs[:, 0]])
+
+
+def pair_tdoas(view: View, tdoas: EmissionTdoas, channels: tuple[int, ...]) -> PairTdoas:
+    """Return the TDOAs among some channels."""
+    rows = emission_rows(view, tdoas)
+    columns = np.flatnonzero(np.isin(tdoas.pairs, channels).all(axis=1))
+    number = {channel: row for row, channel in enumerate(channels)}
+    numbers = [number[channel] for channel in tdoas.pairs[columns].ravel().tolist()]
+    pairs = np.array(numbers, dtype=np.int32).reshape(-1, 2)
+    tdoa_s = tdoas.tdoa_s[np.ix_(rows, columns)]
+    return PairTdoas(tdoas.pose[rows], tdoas.buzzer[rows], tdoa_s, pairs, tdoas.sound is None)
+
+
+def assemble(
+    description: RigDescription,
+    view: View,
+    corners: PoseCorners,
+    tdoas: EmissionTdoas,
+    channels: tuple[int, ...],
+    *,
+    hold: tuple[str, ...] = (),
+    find_delays: bool = False,
+) -> tuple[JointProblem, Unknowns]:
+    """Put the joint problem together.
+
+    Parameters
+    ----------
+    description : RigDescription
+    view : View
+        Camera and poses to start from.
+    corners : PoseCorners
+    tdoas : EmissionTdoas
+    channels : tuple of int
+        Of the microphones to be found.
+    hold : tuple of str
+        Blocks of BLOCK_NAMES that are held at what the rig description, or `view`, says.
+    find_delays : bool
+        Channels may be late, each by a constant time.
+
+    Returns
+    -------
+    JointProblem, and Unknowns to start from; the microphones to be found are at the origin.
+    """
+    reference = description.audio.reference_microphone
+    known_m = np.array([] if reference is None else reference.position_m, dtype=float).reshape(-1, 3)
+    start = Unknowns.of(
+        np.vstack([np.zeros((len(channels), 3)), known_m]),
+        description.medium.speed_m_s(),
+        np.array([buzzer.position_m for buzzer in description.board.buzzers]),
+        camera_vector(view.intrinsics),
+        view.board_to_camera,
+    )
+    std = _prior_std(start.blocks, description)
+    if reference is not None:
+        std[start.blocks.microphone(len(channels))] = reference.position_std_m
+    std[start.blocks.delays] = DELAY_STD_S if find_delays else 0.0
+    for name in set(hold) - {"poses"}:
+        std[_named(start.blocks, name)] = 0.0
+    priors = Priors(start.shared, std, poses_held="poses" in hold)
+    seen = CornerTable(
+        board_corners_m(description.board), corners.corners_px[np.isin(corners.pose, view.pose)], CORNER_STD_PX
+    )
+    table = arrival_table(description, view, tdoas, nodes(description, channels))
+    return JointProblem(table, None if priors.poses_held else seen, priors), start
+
+
+def nodes(description: RigDescription, channels: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the channels of all microphones of the problem: those to be found, then one at a known place, if any."""
+    reference = description.audio.reference_microphone
+    return channels if reference is None else (*channels, reference.channel)
+
+
+def arrival_table(
+    description: RigDescription, view: View, tdoas: EmissionTdoas, channels: tuple[int, ...]
+) -> ArrivalTable:
+    """Return the arrivals at some channels of the emissions whose poses are known, in the order of the poses."""
+    rows = emission_rows(view, tdoas)
+    buzzers = [buzzer.id for buzzer in description.board.buzzers]
+    number = np.array([buzzers.index(int(buzzer)) for buzzer in tdoas.buzzer[rows]], dtype=np.intp)
+    if tdoas.sound is None:
+        chosen = pair_tdoas(view, tdoas, channels)
+        arrival_s, std_s, _ = arrivals_of_pairs(chosen.tdoa_s, chosen.pairs, len(channels))
+    else:
+        recorded = description.audio.recorded_channels()
+        places = np.ix_(rows, np.array([recorded.index(channel) for channel in channels]))
+        arrival_s, std_s = tdoas.sound.arrival_s[places], np.maximum(tdoas.sound.std_s[places], LEAST_ARRIVAL_STD_S)
+    return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s)
+
+
+def emission_rows(view: View, tdoas: EmissionTdoas) -> NDArray[np.intp]:
+    """Return the rows of the emissions whose poses are known, in the order of the poses."""
+    rows = np.flatnonzero(np.isin(tdoas.pose, view.pose))
+    return rows[np.argsort(tdoas.pose[rows], kind="stable")]
+
+
+def camera_vector(intrinsics: Intrinsics) -> FloatArray:
+    """Return intrinsics (9,) in the order of CAMERA_VALUES."""
+    return np.array([*intrinsics.focal_px, *intrinsics.principal_px, *intrinsics.distortion])
+
+
+def _prior_std(blocks: Blocks, description: RigDescription) -> FloatArray:
+    board, medium = description.board, description.medium
+    std = np.full(blocks.size, np.inf)
+    std[blocks.speed] = medium.speed_std_m_s()
+    std[blocks.buzzers] = board.buzzer_std_m
+    std[blocks.scale] = board.square_size_std_m / board.square_size_m
+    std[blocks.camera] = _camera_std(description.camera)
+    return std
+
+
+def _camera_std(camera: Camera) -> FloatArray:
+    width = camera.size_px[0]
+    if isinstance(camera.intrinsics, Intrinsics):
+        focal_px = GIVEN_FOCAL_SHARE * np.array(camera.intrinsics.focal_px)
+        principal_px, distortion = GIVEN_PRINCIPAL_SHARE * width, GIVEN_DISTORTION
+    else:
+        focal_px = np.full(2, FOUND_FOCAL_SHARE * width)
+        principal_px, distortion = FOUND_PRINCIPAL_SHARE * width, FOUND_DISTORTION
+    return np.array([*focal_px, *[principal_px] * 2, *[distortion] * 4, 0.0])
+
+
+def _named(blocks: Blocks, name: str) -> slice:
+    return {"speed": blocks.speed, "buzzers": blocks.buzzers, "scale": blocks.scale, "intrinsics": blocks.camera}[name]

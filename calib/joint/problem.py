@@ -1,0 +1,106 @@
+"""The joint problem: what was measured, and what is known beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.joint.arrivals import ArrivalTable
+from calib.joint.corners import CornerTable
+from calib.joint.equations import NormalEquations
+from calib.joint.unknowns import Unknowns
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known of the shared unknowns beforehand.
+
+    Parameters
+    ----------
+    mean : (n_shared,) array
+    std : (n_shared,) array
+        0 holds a value, infinity leaves it free.
+    poses_held : bool
+        The poses are known and have no unknowns.
+    """
+
+    mean: FloatArray
+    std: FloatArray
+    poses_held: bool = False
+
+    @property
+    def free(self) -> BoolArray:
+        """Which unknowns (n_shared,) are to be found."""
+        return self.std > 0
+
+    @property
+    def information(self) -> FloatArray:
+        """Weights 1 / std^2 (n_shared,); 0 where nothing is known, and where the value is held."""
+        known = self.free & np.isfinite(self.std)
+        return np.where(known, 1 / np.where(known, self.std, 1.0) ** 2, 0.0)
+
+    def with_std(self, where: slice | BoolArray, std: float) -> Priors:
+        """Return the priors with another standard deviation of some unknowns."""
+        changed = self.std.copy()
+        changed[where] = std
+        return replace(self, std=changed)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """How much measurements count: arrivals (n_emissions, n_mics) in 1/s^2, corners (n_poses, n_corners) in 1/px^2."""
+
+    arrivals: FloatArray
+    corners: FloatArray
+
+
+@dataclass(frozen=True)
+class JointProblem:
+    """Arrivals, corners, and priors.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTable
+    corners : CornerTable or None
+        None where the poses are held.
+    priors : Priors
+    """
+
+    arrivals: ArrivalTable
+    corners: CornerTable | None
+    priors: Priors
+
+    def stated_weights(self) -> Weights:
+        """Return the weights that the stated standard deviations give."""
+        return Weights(
+            self.arrivals.information, np.zeros((0, 0)) if self.corners is None else self.corners.information
+        )
+
+    def only(self, poses: BoolArray) -> JointProblem:
+        """Return the problem of some of the poses (n_poses,)."""
+        arrivals = self.arrivals.only(poses[self.arrivals.pose])
+        numbers = np.cumsum(poses) - 1
+        arrivals = replace(arrivals, pose=numbers[arrivals.pose])
+        return replace(self, arrivals=arrivals, corners=None if self.corners is None else self.corners.only(poses))
+
+    def normal_equations(self, at: Unknowns, weights: Weights) -> NormalEquations:
+        """Linearise at some values; the equations of all unknowns, held ones too."""
+        equations = self.arrivals.normal_equations(at, weights.arrivals)
+        if self.corners is not None:
+            equations = equations + self.corners.normal_equations(at, weights.corners)
+        information, deviation = self.priors.information, self.priors.mean - at.shared
+        return replace(
+            equations,
+            shared=equations.shared + np.diag(information),
+            shared_gradient=equations.shared_gradient + information * deviation,
+            cost=equations.cost + 0.5 * float(np.sum(information * deviation**2)),
+        )
+
+    def free_equations(self, at: Unknowns, weights: Weights) -> NormalEquations:
+        """Linearise at some values; the equations of what is to be found."""
+        return self.normal_equations(at, weights).only(self.priors.free, poses_free=not self.priors.poses_held)

@@ -1,0 +1,114 @@
+"""The joint method on the measurements of a session."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.answer import Answer
+from calib.camera import View
+from calib.corners import PoseCorners
+from calib.doubts import fit_doubts
+from calib.emissions import EmissionTdoas
+from calib.fit import FittedTdoas, robust_sigma
+from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.pairs import arrivals_that_agree
+from calib.joint.robust import JointSolution, solve_robustly
+from calib.joint.start import SAME_BASIN_M, find_start
+from calib.joint.suspects import find_suspects
+from calib.joint.suspicion import suspect_doubts
+from calib.joint.uncertainty import microphone_covariances, shared_covariance
+from calib.settings import Settings
+from rigs.description import Intrinsics, RigDescription
+from rigs.geometry import Pose
+
+FloatArray = NDArray[np.float64]
+
+PAIR_SIGMAS = 4.5
+
+
+def answer_jointly(
+    description: RigDescription,
+    view: View,
+    corners: PoseCorners,
+    tdoas: EmissionTdoas,
+    channels: tuple[int, ...],
+    settings: Settings,
+) -> Answer:
+    """Find the microphones along with everything that is not known exactly.
+
+    Raises
+    ------
+    NotEnoughDataError, NotConvergedError
+    """
+    problem, guess = assemble(
+        description, view, corners, tdoas, channels, hold=settings.hold, find_delays=settings.find_delays
+    )
+    start = find_start(problem, guess, settings.seed)
+    solution, suspects = find_suspects(solve_robustly(problem, start.at))
+    chosen = pair_tdoas(view, tdoas, nodes(description, channels))
+    if chosen.alone:
+        solution = _with_pairs_that_fit(solution, chosen)
+    covariance = shared_covariance(problem, solution.at, solution.weights())
+    fitted = _fitted_tdoas(solution, chosen)
+    at = solution.at
+    return Answer(
+        microphones_m=at.microphones_m[: len(channels)],
+        covariance_m2=microphone_covariances(covariance, len(channels)),
+        speed_of_sound_m_s=at.speed_m_s,
+        speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed][0, 0])),
+        view=refined_view(view, solution),
+        residual=fitted.residual(),
+        warnings=[
+            *_rival_doubts(start.at.microphones_m, start.rival_m, channels),
+            *suspect_doubts(suspects, solution, description, channels),
+            *fit_doubts(description, fitted),
+        ],
+    )
+
+
+def refined_view(view: View, solution: JointSolution) -> View:
+    """Return the camera and the poses as the solution has them."""
+    at, corners = solution.at, solution.problem.corners
+    if corners is None:
+        return view
+    fx, fy, cx, cy, *distortion = (float(value) for value in at.camera)
+    intrinsics = Intrinsics(focal_px=(fx, fy), principal_px=(cx, cy), distortion=tuple(distortion))
+    poses = [Pose(rotation, place) for rotation, place in zip(at.rotations, at.translations_m, strict=True)]
+    rms_px = float(np.sqrt(np.nanmean(np.sum(corners.residuals_px(at) ** 2, axis=2))))
+    return View(intrinsics, view.source, view.pose, poses, rms_px)
+
+
+def _with_pairs_that_fit(solution: JointSolution, chosen: PairTdoas) -> JointSolution:
+    """Solve again on arrivals from the pairs that fit: geometry tells more of them apart than closure does."""
+    residuals_s = chosen.residuals_s(solution)
+    agree = np.nan_to_num(np.abs(residuals_s), nan=np.inf) < PAIR_SIGMAS * robust_sigma(residuals_s)
+    n_mics = solution.at.blocks.n_mics
+    arrival_s, std_s = arrivals_that_agree(chosen.tdoa_s, chosen.pairs, n_mics, agree)
+    problem = solution.problem
+    problem = replace(problem, arrivals=replace(problem.arrivals, arrival_s=arrival_s, std_s=std_s))
+    return solve_robustly(problem, solution.at)
+
+
+def _fitted_tdoas(solution: JointSolution, chosen: PairTdoas) -> FittedTdoas:
+    """Return the TDOAs, and which of them the solution rests on."""
+    residuals_s, (first, second) = chosen.residuals_s(solution), chosen.pairs.T
+    used = solution.used_arrivals[:, first] & solution.used_arrivals[:, second] & np.isfinite(residuals_s)
+    if chosen.alone:
+        used &= np.nan_to_num(np.abs(residuals_s), nan=np.inf) < PAIR_SIGMAS * robust_sigma(residuals_s)
+    return FittedTdoas(chosen.pose, chosen.buzzer, residuals_s, used, solution.at.speed_m_s)
+
+
+def _rival_doubts(chosen_m: FloatArray, rival_m: FloatArray | None, channels: tuple[int, ...]) -> list[str]:
+    """Say when microphones fit nearly as well elsewhere."""
+    if rival_m is None:
+        return []
+    apart_m = np.linalg.norm(rival_m - chosen_m, axis=1)[: len(channels)]
+    moved = [str(channel) for channel, length_m in zip(channels, apart_m, strict=True) if length_m > SAME_BASIN_M]
+    doubt = (
+        f"the arrivals fit nearly as well with channel {' and '.join(moved)} up to {1e3 * apart_m.max():.0f} mm "
+        "elsewhere, as in a mirror: capture poses at other depths and tilted both ways"
+    )
+    return [doubt]

@@ -1,0 +1,40 @@
+"""What the user may choose of a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from calib.sound import TdoaMode
+
+Method = Literal["joint", "ours-1", "ours-2", "ours-3"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user may choose.
+
+    Parameters
+    ----------
+    method : {"joint", "ours-1", "ours-2", "ours-3"}
+    seed : int
+        For first guesses drawn at random.
+    reference_channel : int or None
+        Input channel of the reference microphone of ours-1; None: the first.
+    excluded_channels : tuple of int
+        Input channels to leave out.
+    tdoa : {"auto", "matched", "gcc-phat"}
+        How arrivals are measured in the sound.
+    hold : tuple of str
+        Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "intrinsics", "poses".
+    find_delays : bool
+        Joint finds a delay of each channel.
+    """
+
+    method: Method = "joint"
+    seed: int = 0
+    reference_channel: int | None = None
+    excluded_channels: tuple[int, ...] = ()
+    tdoa: TdoaMode = "auto"
+    hold: tuple[str, ...] = ()
+    find_delays: bool = False
