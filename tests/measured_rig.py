@@ -1,4 +1,4 @@
-"""A rig whose corners and arrivals are drawn with Gaussian noise, without pictures or sound: a session in milliseconds."""
+"""A rig whose corners and arrivals are drawn with Gaussian noise, without pictures or sound: a session at once."""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from conftest import make_world, write_measured_session
 
-from calib.settings import Settings
 from calib.pipeline import calibrate
 from calib.result import Calibration
+from calib.settings import Settings
 from rigs.description import Medium, RigDescription
 from rigs.session.reader import Session
 

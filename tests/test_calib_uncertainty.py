@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conftest import MICROPHONES_M, write_measured_session
 
-from calib.settings import Settings
 from calib.pipeline import calibrate
+from calib.settings import Settings
 from calib.uncertainty import descriptions_off_by_one_std
 from rigs.session.reader import Session
 

@@ -22,7 +22,7 @@ BoolArray = NDArray[np.bool_]
 
 MAX_ROUNDS = 20
 ROUND_ITERATIONS = 4
-SETTLED = 0.01  # of the scale, from round to round
+SETTLED, STEADY = 1e-2, 1e-7  # of the scale, from round to round: on the way, and at the end
 REJECT_SIGMAS = 4.5
 LEAST_SCALE = 1e-6  # keeps weights finite where there is no noise at all
 
@@ -87,7 +87,7 @@ def robust_rounds(
         weights = _cauchy(problem, at, weights, scales)
         at = descend(problem, at, weights, ROUND_ITERATIONS).end
         previous, scales = scales, _robust_scales(problem, at, weights)
-        if _alike(scales, previous):
+        if _alike(scales, previous, SETTLED):
             break
     return at, weights, scales
 
@@ -123,16 +123,16 @@ def _without_outliers(problem: JointProblem, at: Unknowns, weights: Weights, sca
             raise _not_settled(descent.n_iterations)
         at, previous = descent.end, scales
         scales = _scales(problem, at, arrivals, corners)
-        if same and _alike(scales, previous):
+        if same and _alike(scales, previous, STEADY):
             break
     weights = _chosen(problem, arrivals, corners, scales)
     descent = descend(problem, at, weights)
     return JointSolution(problem, descent.end, arrivals, corners, scales, descent.cost)
 
 
-def _alike(first: Scales, second: Scales) -> bool:
+def _alike(first: Scales, second: Scales, tolerance: float) -> bool:
     arrivals, corners = first.arrivals / second.arrivals, first.corners / second.corners
-    return abs(arrivals - 1) < SETTLED and abs(corners - 1) < SETTLED
+    return abs(arrivals - 1) < tolerance and abs(corners - 1) < tolerance
 
 
 def _not_settled(n_iterations: int) -> NotConvergedError:
