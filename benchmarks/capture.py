@@ -1,8 +1,8 @@
 """The benchmark of the capture loop: 8 channels at 192 kHz and 1280 x 720 at 30 frames/s into one session.
 
-Sound and pictures are made up as cheaply as can be, in threads of their own and in real time, so that what is measured is the
-recording: is anything lost, how much of a core does it take, and does its memory grow; quietly, and with a busy process on
-each of two cores. Ten minutes each, a minute with --quick.
+Sound and pictures are made up as cheaply as can be, in threads of their own and in real time, so that what is measured
+is the recording: is anything lost, how much of a core does it take, and does its memory grow; quietly, and with a busy
+process on each of two cores. Ten minutes each, a minute with --quick.
 """
 
 from __future__ import annotations
