@@ -1,9 +1,9 @@
 """The recorder: PortAudio in a process of its own, that writes what it hears to a pipe.
 
-The only module that imports sounddevice. It runs as a program, started by `recorder` and `sound_devices`. So a host that
-is busy, or waits for its disk, starves no callback; a driver that hangs or crashes is ended and started anew, which is
-also the only sure way to see a device that was plugged in later; and what the libraries below print reaches nobody.
-A recording ends as soon as standard input does, that is with the program that started it, however that ended.
+The only module that imports sounddevice. It runs as a program, started by `recorder` and `sound_devices`. So a host
+that is busy, or waits for its disk, starves no callback; a driver that hangs or crashes is ended and started anew,
+which is also the only sure way to see a device that was plugged in later; and what the libraries below print reaches
+nobody. A recording ends as soon as standard input does, that is with the program that started it, however that ended.
 
     list                 one line of JSON: {"devices": [...]} or {"error": code, "text": text}
     record SETTINGS      one line of JSON: {"driver": name} or {"error": ...}; then `BLOCK` after `BLOCK`, each followed
@@ -128,7 +128,7 @@ def _record(sounddevice: ModuleType, settings: dict[str, Any], out: BinaryIO) ->
         finished_callback=intake.end,
     )
     stream.start()
-    _say(out, {"driver": sounddevice.get_portaudio_version()[1]})
+    _say(out, {"driver": sounddevice.get_portaudio_version()[1].partition(",")[0]})
     _copy(intake.take, out)
 
 

@@ -14,10 +14,12 @@ from acquire.devices.simulated.trigger import SimulatedTrigger
 from rigs.description import RigDescription
 
 
-def simulated_rig(description: RigDescription, seed: int, board: TriggerBoard | None = None) -> Rig:
+def simulated_rig(
+    description: RigDescription, seed: int, board: TriggerBoard | None = None, *, real_time: bool = False
+) -> Rig:
     """Return the simulated devices of one scene, not yet opened.
 
-    Time is virtual, unless a real trigger board is given: it keeps its own time, so the scene keeps the host's.
+    Time is virtual, unless a device is real: it keeps its own time, so the scene keeps the host's.
 
     Parameters
     ----------
@@ -25,13 +27,15 @@ def simulated_rig(description: RigDescription, seed: int, board: TriggerBoard | 
     seed : int
     board : TriggerBoard, optional
         A real board, heard in the simulated room instead of the simulated one.
+    real_time : bool
+        Keep the host's time, for the sake of other devices.
 
     Raises
     ------
     rigs.errors.DescriptionError
         A fault names a channel or a buzzer that the rig does not have, or the ChArUco dictionary is too small.
     """
-    clock = MonotonicClock() if board else VirtualClock()
+    clock = MonotonicClock() if board or real_time else VirtualClock()
     scene = draw_scene(description, seed)
     stage = Stage(scene, clock)
     return Rig(
