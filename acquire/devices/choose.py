@@ -8,7 +8,6 @@ from acquire.clock import MonotonicClock
 from acquire.devices.audio_portaudio import PortAudioInput
 from acquire.devices.base import AudioInput, Camera, Rig, TriggerBoard
 from acquire.devices.board_serial import SerialBoard
-from acquire.errors import DeviceError
 from rigs.description import RigDescription
 from rigs.errors import DescriptionError
 
@@ -34,10 +33,8 @@ def choose_devices(description: RigDescription, *, seed: int | None = None) -> R
 
     Raises
     ------
-    DeviceError
-        A driver is not available.
     rigs.errors.DescriptionError
-        The description asks for a simulation that cannot be.
+        The description asks for a mixture or a simulation that cannot be.
     """
     trigger, audio, camera = _trigger(description), _audio(description), _camera(description)
     if audio and not trigger:
@@ -50,10 +47,10 @@ def choose_devices(description: RigDescription, *, seed: int | None = None) -> R
     from acquire.devices.simulated.rig import simulated_rig  # noqa: PLC0415 - OpenCV and SciPy load late
 
     seed = description.simulation.seed if seed is None else seed
-    rig = simulated_rig(description, seed, trigger, real_time=camera is not None)
-    if audio and trigger:  # it hears the board itself
+    rig = simulated_rig(description, seed, trigger, in_real_time=camera is not None)
+    if trigger and audio:  # it hears the board itself
         rig = replace(rig, trigger=trigger, audio=audio, truth=None)
-    return replace(rig, camera=camera, operator=Person(), truth=None) if camera else rig
+    return replace(rig, camera=camera, truth=None) if camera else rig
 
 
 def _trigger(description: RigDescription) -> TriggerBoard | None:
@@ -73,4 +70,6 @@ def _camera(description: RigDescription) -> Camera | None:
     """Return the real camera; None where it is simulated."""
     if description.camera.driver == "simulated":
         return None
-    raise DeviceError("camera: driver opencv is not available in this version; use driver simulated")
+    from acquire.devices.camera_opencv import OpenCvCamera  # noqa: PLC0415 - only where there is such a camera
+
+    return OpenCvCamera(description.camera)
