@@ -1,4 +1,4 @@
-"""What `rig-capture --list-devices` shows: sound devices, cameras and serial ports, as the rig description names them."""
+"""What `rig-capture --list-devices` shows: sound devices, cameras, serial ports, as the rig description names them."""
 
 from __future__ import annotations
 
