@@ -79,6 +79,8 @@ def capture(
     with _opened(rig) as versions, _new_session(path, found, rig, versions) as writer:
         status = _status(description, path)
         recording = Recording(rig, writer, description, screen, status, stop_wanted)
+        for warning in rig.camera.warnings:
+            recording.say("warning", warning)
         try:
             if (doubt := space.doubt()) is not None:
                 recording.say("warning", doubt)

@@ -1,0 +1,1 @@
+"""The virtual bench: real device stacks without hardware, started and stopped by the tests."""
