@@ -13,6 +13,7 @@ from acquire.errors import DeviceError, InterruptedCaptureError
 from acquire.sample_clock import SampleClock
 from acquire.screen import Screen
 from acquire.status import Message, Status
+from acquire.stillness import SpreadFrames
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.writer import SessionWriter
@@ -59,6 +60,7 @@ class Recording:
         now_s = rig.clock.now_s()
         self._start_s = self._flushed_s = self._heard_s = now_s
         self._frame_due_s = float("-inf")
+        self.kept: SpreadFrames | None = None  # where somebody wants to look at some of the frames again
 
     def say(self, level: str, text: str) -> None:
         """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
@@ -103,6 +105,8 @@ class Recording:
         """Store a frame; the next is due an interval after this one was, so that waiting for it does not add up."""
         interval_s = self._frame_interval_s
         self._frame_due_s = max(self._frame_due_s, frame.host_time_s - interval_s / 2) + interval_s
+        if self.kept is not None:
+            self.kept.add(frame)
         self.writer.append_frame(frame.image, host_time_s=frame.host_time_s, pose=pose)
 
     def record(self, duration_s: float, pose: int | None = None) -> None:
