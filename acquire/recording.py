@@ -16,6 +16,7 @@ from acquire.disk import DiskSpace
 from acquire.errors import DeviceError, DeviceLostError, InterruptedCaptureError
 from acquire.screen import Screen
 from acquire.status import Message, Status
+from acquire.stillness import SpreadFrames
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.writer import SessionWriter
@@ -69,6 +70,7 @@ class Recording:
         self._heard_s, self._mute_s = now_s, _FIRST_BLOCK_S
         self._frame_due_s = self._seen_s = self._complained_s = float("-inf")
         self._is_gap = self._is_excused = False
+        self.kept: SpreadFrames | None = None  # where somebody wants to look at some of the frames again
 
     def say(self, level: str, text: str) -> None:
         """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
@@ -129,6 +131,8 @@ class Recording:
         """Store a frame; the next is due an interval after this one was, so that waiting for it does not add up."""
         interval_s = self._frame_interval_s
         self._frame_due_s = max(self._frame_due_s, frame.host_time_s - interval_s / 2) + interval_s
+        if self.kept is not None:
+            self.kept.add(frame)
         self.writer.append_frame(frame.image, host_time_s=frame.host_time_s, pose=pose)
 
     def record(self, duration_s: float, pose: int | None = None) -> None:

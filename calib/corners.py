@@ -115,7 +115,7 @@ def _spread(frames: NDArray[np.intp]) -> NDArray[np.intp]:
     """Choose some of the frames of a pose, the first and the last among them."""
     if len(frames) <= _FRAMES_PER_POSE:
         return frames
-    return frames[np.linspace(0, len(frames) - 1, _FRAMES_PER_POSE).round().astype(int)]
+    return np.asarray(frames[np.linspace(0, len(frames) - 1, _FRAMES_PER_POSE).round().astype(int)])
 
 
 def _mean_of_seen(views: FloatArray) -> FloatArray:

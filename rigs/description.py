@@ -308,6 +308,9 @@ class Capture(Section):
     new_pose_px: float = Field(
         10.0, ge=0, le=1000, description="movement that makes a new pose, root mean square of the corners"
     )
+    max_blur_px: float = Field(
+        2.0, gt=0, le=50, description="a board with blurrier edges is not captured: standard deviation of the blur"
+    )
     min_level_dbfs: float = Field(-60.0, ge=-120, le=0, description="an emission quieter than this is not accepted")
     clip_level: float = Field(0.99, gt=0, le=1, description="samples beyond this share of full scale are clipped")
     onset_tolerance_s: float = Field(0.03, gt=0, le=1, description="how far an onset may lie from where it is expected")

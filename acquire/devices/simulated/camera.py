@@ -68,7 +68,7 @@ class SimulatedCamera:
         self._start_s = None
 
     def _drawn_noise(self) -> NDArray[np.float32]:
-        """Draw noise for more than a picture: cut out elsewhere for each frame it is as good as new, and much faster."""
+        """Draw noise for more than a picture: cut out elsewhere for each frame it is as good as new and faster."""
         width, height = self._stage.scene.description.camera.size_px
         rng = draws(self._stage.scene.seed, "pixels")
         noise = rng.standard_normal((height + _SHIFTS, width + _SHIFTS), dtype=np.float32)
