@@ -175,26 +175,31 @@ class Recording:
         if not len(block.samples):
             return
         first_sample = self.writer.n_samples
-        if self._is_gap:
-            block, self._is_gap = replace(block, flags=block.flags | FLAG_GAP), False
+        was_gone, self._is_gap = self._is_gap, False
+        if was_gone:
+            block = replace(block, flags=block.flags | FLAG_GAP)
         step_s = self.clocks.hear(first_sample, block)
         flags = block.flags | (FLAG_GAP if step_s is not None else 0)
         self.writer.append_audio(block.samples, host_time_s=block.host_time_s, adc_time_s=block.adc_time_s, flags=flags)
         if flags & (FLAG_OVERFLOW | FLAG_GAP):
-            self._note_loss(first_sample, block.flags, step_s)
+            self._note_loss(first_sample, self._why_lost(block.flags, step_s, was_gone=was_gone))
         self._heard_s, self._mute_s = self.rig.clock.now_s(), _MUTE_S
         self.status.hear(block.samples, len(block.samples) / self._sample_rate_hz)
         self._hold(first_sample, block.samples)
 
-    def _note_loss(self, sample: int, flags: int, step_s: float | None) -> None:
+    def _note_loss(self, sample: int, why: str) -> None:
         self.losses += 1
         self.clocks.latency.forget()  # stamps that step may mean that the audio path has changed
         where = f"before {sample / self._sample_rate_hz:.1f} s of the recording"
+        self.say("warning", why.format(where=where))
+
+    def _why_lost(self, flags: int, step_s: float | None, *, was_gone: bool) -> str:
+        if was_gone:
+            return "audio is missing {where}: the sound device was gone"
         if step_s is not None and step_s < 0:
-            self.say("warning", f"the host's clock jumped by {-step_s:.2f} s {where}: did the computer sleep?")
-            return
+            return f"the host's clock jumped by {-step_s:.2f} s {{where}}: did the computer sleep?"
         who = "the sound device" if flags & (FLAG_OVERFLOW | FLAG_GAP) else "the clock"
-        self.say("warning", f"{who} says audio was lost {where}: close other programs if it happens again")
+        return f"{who} says audio was lost {{where}}: close other programs if it happens again"
 
     def _note_backlog(self, blocks: list[AudioBlock]) -> None:
         if not blocks:
