@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FORMAT = "acoustic-rig-session"
 VERSION = 1
 
-# Names of datasets. Root attributes: format, version, name, created_utc.
+# Names of datasets. Root attributes: format, version, name, created_utc, file_id, and recovered where it was.
 TIME_DATA = "time_data"  # (n_samples, n_channels) float32, full scale = 1; attribute sample_freq in hertz
 AUDIO_BLOCKS = "audio/blocks"  # (n_blocks,) AUDIO_BLOCK
 CAMERA_STREAM = "camera/stream"  # (n_bytes,) uint8: PNG pictures, one after another
@@ -73,6 +73,8 @@ LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
 
 FLAG_OVERFLOW = 1  # the driver says samples before this block were lost
 FLAG_GAP = 2  # the clock says so
+FLAG_RESUMED = 4  # a later run begins here: host and board times before and after are not comparable
+FLAG_SILENCED = 8  # the block was damaged; silence of the same length stands in its place
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ class Session:
     Attributes
     ----------
     name, created_utc : str
+    recovered : str
+        What it was recovered from, such as "from s1.h5"; empty where it was not.
     complete : bool
         The recording ended well.
     description : RigDescription
@@ -50,6 +52,7 @@ class Session:
         self._container = container
         self.path = container.path
         self.name, self.created_utc = layers.read_identity(container)
+        self.recovered = str(container.attribute("/", "recovered") or "")
         # The state, then the tables, then the streams: in a growing file each is as long as the one before needs.
         self.complete = bool(container.read(layout.STATE, np.uint8, (1,))[0] == layout.STATE_CLOSED)
         self.description_text, self.description_sha256 = layers.read_description(container)
