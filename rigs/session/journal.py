@@ -27,13 +27,6 @@ if sys.platform != "win32":  # which has no such locks, so nothing tells a livin
     import fcntl
 
 Arrays = dict[str, NDArray[Any]]
-TABLES = {
-    layout.AUDIO_BLOCKS: layout.AUDIO_BLOCK,
-    layout.CAMERA_FRAMES: layout.FRAME,
-    layout.EMISSIONS: layout.EMISSION,
-    layout.POSES: layout.POSE,
-    layout.LOG: layout.LOG_LINE,
-}
 _FRAME = struct.Struct("<4sII")  # magic, bytes, CRC-32 of what follows
 _MAGIC = b"RIGJ"
 _MAX_RECORD_BYTES = 2**28
@@ -130,7 +123,7 @@ def read_journal(path: Path) -> Journal | None:
     needed = {"file_id", chunk_rows_name(layout.TIME_DATA), chunk_rows_name(layout.CAMERA_STREAM)}
     if not records or not needed <= records[0].keys():
         return None
-    tables: dict[str, list[NDArray[Any]]] = {name: [np.empty(0, dtype)] for name, dtype in TABLES.items()}
+    tables: dict[str, list[NDArray[Any]]] = {name: [np.empty(0, dtype)] for name, dtype in layout.TABLES.items()}
     chunks: dict[str, list[NDArray[Any]]] = {
         name: [np.empty(0, np.int64)] for name in (layout.TIME_DATA, layout.CAMERA_STREAM)
     }

@@ -71,6 +71,15 @@ POSE = np.dtype(
 )
 LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
 
+# Every table that grows, in the order in which it is flushed: what is pointed to comes first.
+TABLES: dict[str, np.dtype[np.void]] = {
+    AUDIO_BLOCKS: AUDIO_BLOCK,
+    CAMERA_FRAMES: FRAME,
+    POSES: POSE,
+    EMISSIONS: EMISSION,
+    LOG: LOG_LINE,
+}
+
 FLAG_OVERFLOW = 1  # the driver says samples before this block were lost
 FLAG_GAP = 2  # the clock says so
 FLAG_RESUMED = 4  # a later run begins here: host and board times before and after are not comparable

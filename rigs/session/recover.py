@@ -103,8 +103,10 @@ def copied_header(wreck: Wreck) -> Header:
         old.versions,
         old.sample_rate_hz,
         old.truth,
-        None if old.corners_px is None else old.corners_px[: len(wreck.poses)],
-        None if old.tdoas is None else MeasuredTdoas(old.tdoas.tdoa_s[: len(wreck.emissions)], old.tdoas.pairs),
+        None if old.corners_px is None else old.corners_px[: len(wreck.tables[layout.POSES])],
+        None
+        if old.tdoas is None
+        else MeasuredTdoas(old.tdoas.tdoa_s[: len(wreck.tables[layout.EMISSIONS])], old.tdoas.pairs),
         old.created_utc,
         recovered=f"from {wreck.path.name}",
     )
@@ -117,7 +119,9 @@ def copy(wreck: Wreck, writer: SessionWriter) -> Recovery:
     frames = _copy_frames(wreck, writer, recovery)
     emissions = _still_good_emissions(wreck, good, recovery)
     poses = _with_pose_under_way(_still_good_poses(wreck, emissions, recovery), emissions, frames, recovery)
-    writer.extend(emissions=emissions, poses=poses, log=wreck.log)
+    counted = {layout.EMISSIONS: emissions, layout.POSES: poses}
+    streamed = (layout.AUDIO_BLOCKS, layout.CAMERA_FRAMES)  # copied with their sound and pictures
+    writer.extend({name: rows for name, rows in (wreck.tables | counted).items() if name not in streamed})
     writer.flush()
     recovery.n_emissions, recovery.n_poses = len(emissions), len(poses)
     recovery.n_accepted = int(np.count_nonzero(poses["accepted"]))
@@ -130,7 +134,7 @@ def _copy_sound(wreck: Wreck, writer: SessionWriter, recovery: Recovery) -> NDAr
     damaged: list[np.void] = []  # since the last good block: silence if a good one follows, else the lost end
     silenced: list[np.void] = []
     good = []
-    for block in wreck.blocks:
+    for block in wreck.tables[layout.AUDIO_BLOCKS]:
         samples = wreck.samples(block)
         if samples is None:
             damaged.append(block)
@@ -171,20 +175,20 @@ def _silence(block: np.void, begin: int, n_channels: int) -> Iterator[NDArray[np
 def _copy_frames(wreck: Wreck, writer: SessionWriter, recovery: Recovery) -> NDArray[np.void]:
     """Copy the pictures and return the rows of those that are good."""
     good = []
-    for row, frame in enumerate(wreck.frames):
+    for row, frame in enumerate(wreck.tables[layout.CAMERA_FRAMES]):
         png = wreck.png(frame)
         if png is not None:
             good.append(row)
             writer.append_png(png, host_time_s=float(frame["host_time_s"]), pose=int(frame["pose"]))
     recovery.n_frames = len(good)
-    if len(good) < len(wreck.frames):
-        recovery.dropped.append(f"{len(wreck.frames) - len(good)} damaged or lost frames")
-    return wreck.frames[good]
+    if len(good) < len(wreck.tables[layout.CAMERA_FRAMES]):
+        recovery.dropped.append(f"{len(wreck.tables[layout.CAMERA_FRAMES]) - len(good)} damaged or lost frames")
+    return wreck.tables[layout.CAMERA_FRAMES][good]
 
 
 def _still_good_emissions(wreck: Wreck, good: NDArray[np.int64], recovery: Recovery) -> NDArray[np.void]:
     """Return the emissions; those whose sound is not all there count no longer."""
-    emissions = wreck.emissions.copy()
+    emissions = wreck.tables[layout.EMISSIONS].copy()
     first = emissions["expected_sample"]
     end = first + round(wreck.description.signal.waveform().duration_s * wreck.header.sample_rate_hz)
     n_good = np.concatenate([[0], np.cumsum(good[:, 1] - good[:, 0])])
@@ -207,8 +211,10 @@ def _still_good_emissions(wreck: Wreck, good: NDArray[np.int64], recovery: Recov
 
 def _still_good_poses(wreck: Wreck, emissions: NDArray[np.void], recovery: Recovery) -> NDArray[np.void]:
     """Return the poses; those that lost all of their good emissions count no longer."""
-    poses = wreck.poses.copy()
-    had = np.isin(poses["pose"], wreck.emissions["pose"][wreck.emissions["accepted"] != 0])
+    poses = wreck.tables[layout.POSES].copy()
+    had = np.isin(
+        poses["pose"], wreck.tables[layout.EMISSIONS]["pose"][wreck.tables[layout.EMISSIONS]["accepted"] != 0]
+    )
     have = np.isin(poses["pose"], emissions["pose"][emissions["accepted"] != 0])
     lost = (poses["accepted"] != 0) & had & ~have
     poses["accepted"][lost] = 0

@@ -18,7 +18,7 @@ from rigs.description import RigDescription
 from rigs.errors import SessionError
 from rigs.session import layers, layout
 from rigs.session.container import Container, reading
-from rigs.session.journal import TABLES, Journal, is_being_recorded, journal_path, read_journal
+from rigs.session.journal import Journal, is_being_recorded, journal_path, read_journal
 from rigs.session.layers import Header
 from rigs.session.validation import Judge, Table
 
@@ -46,8 +46,9 @@ class Wreck:
     header : Header
         As the file was made.
     description : RigDescription
-    blocks, frames, emissions, poses, log : structured arrays
-        As in `rigs.session.layout`; whether their sound and pictures are good, `samples` and `png` tell.
+    tables : dict of str to structured array
+        Every table, by its name in `rigs.session.layout`; whether its sound and pictures are good, `samples` and
+        `png` tell.
     remarks : list of str
         What is missing.
     """
@@ -104,16 +105,22 @@ class Wreck:
         self.close()
 
     def _read_tables(self, judge: Judge) -> None:
-        blocks, frames, emissions, poses, log = (self._table(name) for name in TABLES)
+        self.tables = {name: self._table(name) for name in layout.TABLES}
+        blocks, frames = self.tables[layout.AUDIO_BLOCKS], self.tables[layout.CAMERA_FRAMES]
         row_bytes = 4 * self.n_channels
-        self.blocks = judge.blocks(blocks, int(np.maximum(blocks["n_samples"], 0).sum(dtype=np.int64)))
-        self.blocks = self._sane(
-            layout.AUDIO_BLOCKS, self.blocks, self.blocks["n_samples"].astype(np.int64) * row_bytes
-        )
-        self.frames = judge.frames(self._sane(layout.CAMERA_FRAMES, frames, frames["length"]), 2**62)
-        self.poses = judge.poses(poses)
-        self.emissions = judge.emissions(emissions, self.poses, self.description)
-        self.log = log[log["level"] != b""]
+        blocks = judge.blocks(blocks, int(np.maximum(blocks["n_samples"], 0).sum(dtype=np.int64)))
+        blocks = self._sane(layout.AUDIO_BLOCKS, blocks, blocks["n_samples"].astype(np.int64) * row_bytes)
+        frames = judge.frames(self._sane(layout.CAMERA_FRAMES, frames, frames["length"]), 2**62)
+        poses = judge.poses(self.tables[layout.POSES])
+        emissions = judge.emissions(self.tables[layout.EMISSIONS], poses, self.description)
+        log = self.tables[layout.LOG]
+        self.tables |= {
+            layout.AUDIO_BLOCKS: blocks,
+            layout.CAMERA_FRAMES: frames,
+            layout.POSES: poses,
+            layout.EMISSIONS: emissions,
+            layout.LOG: log[log["level"] != b""],
+        }
 
     def _table(self, name: str) -> Table:
         """Return the journal's rows and those that HDF5 has beyond; the journal's alone where the two disagree."""
@@ -126,11 +133,11 @@ class Wreck:
 
     def _indexed_table(self, name: str) -> Table:
         """Return what HDF5 can read of a table: its rows up to the first damaged chunk."""
-        rows = np.empty(0, TABLES[name])
+        rows = np.empty(0, layout.TABLES[name])
         if self._container is None:
             return rows
         try:
-            dataset = self._container.dataset(name, TABLES[name], (None,))
+            dataset = self._container.dataset(name, layout.TABLES[name], (None,))
             step = dataset.chunks[0] if dataset.chunks else max(len(dataset), 1)
             for first in range(0, len(dataset), step):
                 with reading(self.path):

@@ -45,11 +45,7 @@ class SessionWriter:
         self._time_data = GrowingStream(file, layout.TIME_DATA, "<f4", (n_channels,))
         self._time_data.dataset.attrs.create("sample_freq", float(header.sample_rate_hz))
         self._pictures = GrowingStream(file, layout.CAMERA_STREAM, np.uint8)
-        self._blocks = GrowingTable(file, layout.AUDIO_BLOCKS, layout.AUDIO_BLOCK)
-        self._frames = GrowingTable(file, layout.CAMERA_FRAMES, layout.FRAME)
-        self._emissions = GrowingTable(file, layout.EMISSIONS, layout.EMISSION)
-        self._poses = GrowingTable(file, layout.POSES, layout.POSE)
-        self._log = GrowingTable(file, layout.LOG, layout.LOG_LINE)
+        self._tables = {name: GrowingTable(file, name, dtype) for name, dtype in layout.TABLES.items()}
         self._state = file.create_dataset(layout.STATE, data=np.array([layout.STATE_OPEN], dtype=np.uint8))
         file.swmr_mode = True
         descriptor = file.id.get_vfd_handle()
@@ -189,7 +185,9 @@ class SessionWriter:
         flags, self._next_flags = flags | self._next_flags, 0
         with self._appending():
             first = self._time_data.append(rows)
-            self._blocks.append(first, len(rows), host_time_s, adc_time_s, flags, zlib.crc32(rows.data))
+            self._tables[layout.AUDIO_BLOCKS].append(
+                first, len(rows), host_time_s, adc_time_s, flags, zlib.crc32(rows.data)
+            )
         if self.n_samples - self._n_flushed_samples >= self._flush_interval_samples:
             self.flush()
         return first
@@ -208,7 +206,7 @@ class SessionWriter:
         """Append a picture that is PNG bytes (n,) already, and return its index."""
         with self._appending():
             offset = self._pictures.append(png)
-            return self._frames.append(offset, len(png), host_time_s, pose, zlib.crc32(png.data))
+            return self._tables[layout.CAMERA_FRAMES].append(offset, len(png), host_time_s, pose, zlib.crc32(png.data))
 
     def append_emission(
         self,
@@ -225,26 +223,28 @@ class SessionWriter:
         """Append what was played; the fields are those of `layout.EMISSION`."""
         label = _cut(waveform, layout.EMISSION["waveform"].itemsize)
         with self._appending():
-            self._emissions.append(
+            self._tables[layout.EMISSIONS].append(
                 pose, buzzer, repeat, label, board_time_s, host_time_s, expected_sample, bool(accepted)
             )
 
     def append_pose(self, *, pose: int, start_host_time_s: float, end_host_time_s: float, accepted: bool) -> None:
         """Append a board position that is done with; the fields are those of `layout.POSE`."""
         with self._appending():
-            self._poses.append(pose, start_host_time_s, end_host_time_s, bool(accepted))
+            self._tables[layout.POSES].append(pose, start_host_time_s, end_host_time_s, bool(accepted))
 
     def append_log(self, host_time_s: float, level: str, text: str) -> None:
         """Append a log line; text of more than 240 bytes is cut, level ("info", "warning", "error") at 8 bytes."""
         line = layout.LOG_LINE
         with self._appending():
-            self._log.append(host_time_s, _cut(level, line["level"].itemsize), _cut(text, line["text"].itemsize))
+            self._tables[layout.LOG].append(
+                host_time_s, _cut(level, line["level"].itemsize), _cut(text, line["text"].itemsize)
+            )
 
-    def extend(self, *, emissions: NDArray[np.void], poses: NDArray[np.void], log: NDArray[np.void]) -> None:
-        """Append rows of another session's tables as they are."""
+    def extend(self, tables: Mapping[str, NDArray[np.void]]) -> None:
+        """Append rows of another session's tables, by name, as they are."""
         with self._appending():
-            for table, rows in ((self._emissions, emissions), (self._poses, poses), (self._log, log)):
-                table.extend(rows)
+            for name, rows in tables.items():
+                self._tables[name].extend(rows)
 
     @property
     def n_samples(self) -> int:
@@ -254,7 +254,7 @@ class SessionWriter:
     @property
     def n_frames(self) -> int:
         """Pictures appended so far."""
-        return self._frames.n_rows
+        return self._tables[layout.CAMERA_FRAMES].n_rows
 
     def flush(self) -> None:
         """Hand everything to the operating system: from here on it survives a crash of this program.
@@ -266,8 +266,7 @@ class SessionWriter:
         """
         with self._appending():
             news: Arrays = {stream.name: stream.flush() for stream in (self._time_data, self._pictures)}
-            for table in (self._blocks, self._frames, self._poses, self._emissions, self._log):
-                news[table.name] = table.flush()
+            news |= {name: table.flush() for name, table in self._tables.items()}
             if news := {name: rows for name, rows in news.items() if len(rows)}:
                 self._durability.submit(record(news))
         self._n_flushed_samples = self.n_samples
