@@ -9,6 +9,7 @@ from acquire.devices.base import Frame
 from acquire.emissions import ChannelFaults, Emissions
 from acquire.errors import CaptureQualityError
 from acquire.recording import Recording
+from acquire.resume import Resumption
 from acquire.status import State
 from acquire.stillness import Sight, StillBoard
 from rigs.board import find_corners, movement_px
@@ -39,19 +40,23 @@ class Poses:
     ----------
     recording : Recording
     description : RigDescription
+    earlier : Resumption, optional
+        What a session that goes on holds already.
     """
 
-    def __init__(self, recording: Recording, description: RigDescription) -> None:
+    def __init__(self, recording: Recording, description: RigDescription, earlier: Resumption | None = None) -> None:
         self._recording, self._status, self._clock = recording, recording.status, recording.rig.clock
         self._board, self._limits = description.board, description.capture
         self._emissions = Emissions(recording, description)
         self._shots = [
             (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
         ]
-        self._pose = 0  # counts attempts: a place that is captured again gets a number of its own
+        self._pose = (
+            earlier.recovery.next_pose if earlier else 0
+        )  # counts attempts: a place that is captured again gets a number of its own
         self._again = False  # the last attempt failed, so the same place is wanted
         self._silent_poses = 0
-        self._last_corners_px: FloatArray | None = None
+        self._last_corners_px: FloatArray | None = earlier.corners_px[-1] if earlier and earlier.corners_px else None
 
     def capture_all(self) -> None:
         """Capture until enough poses are good.

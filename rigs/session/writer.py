@@ -290,6 +290,8 @@ class SessionWriter:
         else:
             with suppress(SessionError):  # the error under way says more
                 self._close(layout.STATE_OPEN)
+            if not self._is_published:
+                self.discard()
 
     def _close(self, state: int) -> None:
         if not self._file:
