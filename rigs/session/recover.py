@@ -191,6 +191,9 @@ def _still_good_emissions(wreck: Wreck, good: NDArray[np.int64], recovery: Recov
     emissions = wreck.tables[layout.EMISSIONS].copy()
     first = emissions["expected_sample"]
     end = first + round(wreck.description.signal.waveform().duration_s * wreck.header.sample_rate_hz)
+    if not recovery.dropped:  # then what was never recorded is not lost
+        n_samples = int(wreck.tables[layout.AUDIO_BLOCKS]["n_samples"].sum(dtype=np.int64))
+        end = np.minimum(end, np.maximum(first + 1, n_samples))
     n_good = np.concatenate([[0], np.cumsum(good[:, 1] - good[:, 0])])
 
     def good_before(sample: NDArray[np.int64]) -> NDArray[np.int64]:
