@@ -115,3 +115,5 @@ static int synced(int descriptor, long call) {
 int fsync(int descriptor) { return synced(descriptor, SYS_fsync); }
 
 int fdatasync(int descriptor) { return synced(descriptor, SYS_fdatasync); }
+
+long shim_writes_left(void) { return writes_left; }

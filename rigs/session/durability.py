@@ -12,7 +12,9 @@ _sync = getattr(os, "fdatasync", os.fsync)  # macOS and Windows have fsync only
 
 
 class Durability:
-    """Syncs a session file, then its journal, at most once per second.
+    """Writes the journal, and syncs session file and journal, in this order, at most once per second.
+
+    A journal that is ahead of the session file does no harm: what it speaks of has checksums.
 
     Parameters
     ----------
@@ -25,15 +27,14 @@ class Durability:
     def __init__(self, file_descriptor: int, journal: BinaryIO) -> None:
         self._file = os.dup(file_descriptor)
         self._journal = journal
-        self._pending: list[bytes] = []
-        self._closing = self._is_syncing = False
+        self._is_behind = self._is_syncing = self._closing = False
         self._failure: OSError | None = None
         self._changed = Condition()
         self._thread = Thread(target=self._run, name="session sync", daemon=True)
         self._thread.start()
 
     def submit(self, record: bytes) -> None:
-        """Take a journal's record of what was just flushed.
+        """Write the journal's record of what was just flushed, to be synced soon.
 
         Raises
         ------
@@ -43,13 +44,17 @@ class Durability:
         with self._changed:
             if self._failure is not None:
                 raise self._failure
-            self._pending.append(record)
+        rest = memoryview(record)
+        while rest:
+            rest = rest[os.write(self._journal.fileno(), rest) :]
+        with self._changed:
+            self._is_behind = True
             self._changed.notify_all()
 
     def settle(self) -> None:
         """Wait until all that was submitted is on the disk. Raises OSError where the disk refused."""
         with self._changed:
-            self._changed.wait_for(lambda: self._failure or not (self._pending or self._is_syncing))
+            self._changed.wait_for(lambda: self._failure or not (self._is_behind or self._is_syncing))
             if self._failure is not None:
                 raise self._failure
 
@@ -86,11 +91,10 @@ class Durability:
                 self._journal.close()
 
     def _run(self) -> None:
-        while (records := self._next()) is not None:
+        while self._has_more():
             began_s = time.monotonic()
             try:
-                _sync(self._file)  # what the records speak of comes first
-                self._write(b"".join(records))
+                _sync(self._file)
                 _sync(self._journal.fileno())
             except OSError as error:
                 with self._changed:
@@ -102,17 +106,12 @@ class Durability:
                 self._changed.notify_all()
             self._pause(SYNC_INTERVAL_S - (time.monotonic() - began_s))
 
-    def _next(self) -> list[bytes] | None:
+    def _has_more(self) -> bool:
+        """Wait until there is something to sync; False when there is nothing and there never will be."""
         with self._changed:
-            self._changed.wait_for(lambda: self._pending or self._closing)
-            records, self._pending = self._pending, []
-            self._is_syncing = bool(records)
-        return records or None
-
-    def _write(self, content: bytes) -> None:
-        rest = memoryview(content)
-        while rest:
-            rest = rest[os.write(self._journal.fileno(), rest) :]
+            self._changed.wait_for(lambda: self._is_behind or self._closing)
+            self._is_syncing, self._is_behind = self._is_behind, False
+            return self._is_syncing
 
     def _pause(self, duration_s: float) -> None:
         with self._changed:

@@ -1,7 +1,6 @@
 """The journal: beside a session that is being recorded, all it takes to find everything again without HDF5's index.
 
-HDF5 changes its index in place, so a power loss can tear it. The journal is only ever added to, each record with its
-checksum, and a record is written after what it speaks of has reached the disk.
+HDF5 changes its index in place, so a crash can tear it. The journal is only ever added to, each record with a checksum.
 """
 
 from __future__ import annotations
