@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -118,6 +119,11 @@ class Container:
             raise SessionError(f"{self.path}: {name} is larger than 1 GiB, which no session needs")
         with reading(self.path):
             return np.asarray(dataset[()])
+
+    def crc32(self, name: str) -> int:
+        """Return the CRC-32 of all bytes of a dataset; raises SessionError as `read` does."""
+        dataset = self._datasets[name]
+        return zlib.crc32(self.read(name, dataset.dtype, dataset.shape).tobytes())
 
     def attribute(self, owner: str, name: str) -> str | float | int | None:
         """Return a scalar attribute (text or number) of the root "/", a group or a dataset; None where there is none.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import Any
 
 import h5py
@@ -72,7 +73,7 @@ class GrowingTable:
         self._dataset = _create(file, name, dtype, (), _TABLE_CHUNK_BYTES)
         self._dtype = dtype
         self._pending: list[NDArray[np.void]] = []
-        self.n_rows = 0
+        self.n_rows = self.crc32 = 0  # the checksum is that of what was flushed
 
     def append(self, *fields: object) -> int:
         """Append one record, its fields in the order of the dtype, and return its index."""
@@ -95,6 +96,7 @@ class GrowingTable:
         self._dataset[self.n_rows - len(rows) :] = rows
         self._dataset.flush()
         self._pending.clear()
+        self.crc32 = zlib.crc32(rows.tobytes(), self.crc32)
         return rows
 
 

@@ -86,6 +86,11 @@ def write_header(file: h5py.File, header: Header) -> None:
         _set_text(file[layout.TRUTH], "source", header.truth.source)
 
 
+def fixed_names(header: Header) -> list[str]:
+    """Return the names of the datasets that `write_header` makes."""
+    return [layout.DESCRIPTION, layout.VERSIONS, *_fixed_layers(header)]
+
+
 def journal_header(header: Header) -> dict[str, NDArray[Any]]:
     """Return the same as arrays, for the journal."""
     texts = {

@@ -20,6 +20,7 @@ POSES = "poses"  # (n_poses,) POSE
 LOG = "log"  # (n_lines,) LOG_LINE
 DESCRIPTION = "rig/description"  # (n_bytes,) uint8: the YAML word for word; attribute sha256
 VERSIONS = "rig/versions"  # (n_bytes,) uint8: JSON object of strings: software, firmware, drivers
+CHECKSUMS = "checksums"  # optional (n,) CHECKSUM, of tables and of what does not grow
 STATE = "state"  # (1,) uint8: STATE_OPEN while recording, STATE_CLOSED after a good end
 TRUTH = "truth"  # optional group, see Truth
 CORNERS = "measured/corners"  # optional (n_poses, n_corners, 2) float64 pixels, NaN where not found
@@ -70,6 +71,13 @@ POSE = np.dtype(
     ]
 )
 LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
+CHECKSUM = np.dtype(
+    [
+        ("name", "S64"),  # of the dataset
+        ("n_rows", "<i8"),  # -1: not known, as the session was never closed
+        ("crc32", "<u4"),  # of its bytes
+    ]
+)
 
 # Every table that grows, in the order in which it is flushed: what is pointed to comes first.
 TABLES: dict[str, np.dtype[np.void]] = {

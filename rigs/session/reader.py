@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rigs.errors import SessionError
 from rigs.session import layers, layout, picture
+from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
 from rigs.session.validation import Judge
 
@@ -128,7 +129,7 @@ class Session:
 
     def verify(self) -> list[str]:
         """Read everything and return in words what does not fit its checksum; empty when all is well."""
-        return [*self.remarks, *self._bad_blocks(), *self._bad_frames()]
+        return [*self.remarks, *misfits(self._container), *self._bad_blocks(), *self._bad_frames()]
 
     def sha256(self) -> str:
         """Return the SHA-256 of the whole file, in hexadecimal."""

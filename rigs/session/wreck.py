@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rigs.description import RigDescription
 from rigs.errors import SessionError
 from rigs.session import layers, layout
+from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
 from rigs.session.journal import Journal, is_being_recorded, journal_path, read_journal
 from rigs.session.layers import Header
@@ -59,6 +60,9 @@ class Wreck:
         self._container, self._journal = container, journal
         self.n_channels = len(self.description.audio.recorded_channels())
         self._streams = {name: self._stream(name) for name in _STREAMS}
+        if container is not None:
+            with suppress(SessionError):
+                self.remarks += misfits(container)
         self._read_tables(Judge(str(path), complete=False, remarks=self.remarks))
 
     @classmethod

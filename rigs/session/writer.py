@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rigs.errors import SessionError, SessionWriteError, TargetError, reason
 from rigs.session import layers, layout, picture, publication
+from rigs.session.checksums import Checksums
 from rigs.session.durability import Durability
 from rigs.session.growing import GrowingStream, GrowingTable
 from rigs.session.journal import Arrays, chunk_rows_name, create_journal, journal_path, record
@@ -47,6 +48,7 @@ class SessionWriter:
         self._pictures = GrowingStream(file, layout.CAMERA_STREAM, np.uint8)
         self._tables = {name: GrowingTable(file, name, dtype) for name, dtype in layout.TABLES.items()}
         self._state = file.create_dataset(layout.STATE, data=np.array([layout.STATE_OPEN], dtype=np.uint8))
+        self._checksums = Checksums(file, layers.fixed_names(header))
         file.swmr_mode = True
         descriptor = file.id.get_vfd_handle()
         os.fsync(descriptor)
@@ -299,6 +301,7 @@ class SessionWriter:
         self.flush()
         with self._appending():
             self._durability.finish()
+            self._checksums.finish(self._tables.values())
             self._state[0] = state
             self._file.flush()
             self._file.close()
