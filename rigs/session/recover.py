@@ -213,16 +213,22 @@ def _still_good_emissions(wreck: Wreck, good: NDArray[np.int64], recovery: Recov
 
 
 def _still_good_poses(wreck: Wreck, emissions: NDArray[np.void], recovery: Recovery) -> NDArray[np.void]:
-    """Return the poses; those that lost all of their good emissions count no longer."""
+    """Return the poses; those at the end that lost all of their good emissions count no longer.
+
+    One in the middle goes on counting, for its pictures, and so that the k-th good pose stays the k-th.
+    """
     poses = wreck.tables[layout.POSES].copy()
     had = np.isin(
         poses["pose"], wreck.tables[layout.EMISSIONS]["pose"][wreck.tables[layout.EMISSIONS]["accepted"] != 0]
     )
     have = np.isin(poses["pose"], emissions["pose"][emissions["accepted"] != 0])
     lost = (poses["accepted"] != 0) & had & ~have
+    lost &= np.arange(len(poses)) > np.max(np.flatnonzero((poses["accepted"] != 0) & ~lost), initial=-1)
     poses["accepted"][lost] = 0
     if lost.any():
-        recovery.dropped.append(f"{np.count_nonzero(lost)} poses count no longer: none of their emissions is left")
+        recovery.dropped.append(
+            f"{np.count_nonzero(lost)} poses at the end count no longer: none of their emissions is left"
+        )
     return poses
 
 
