@@ -39,6 +39,20 @@ def test_a_main_loop_that_hangs_is_reset_by_the_watchdog():
     assert sound_s < 0.2
 
 
+def test_a_firmware_that_hangs_with_interrupts_off_is_reset_by_the_watchdogs_hardware():
+    with broken("freeze") as board, Talk(board.port) as host:
+        host.restart(board)
+        host.send(COMMAND)
+        assert host.next_boot()["reset"] == "watchdog"
+        assert host.ask("2 status")["state"] == "idle"
+        assert host.ask("3 hello")["name"] == "buzzer-board"
+        board.settle()
+        (sound_s,) = lit_s(board)
+        assert board.trace().resets[-1][1] == "watchdog"
+    print(f"silent {sound_s:.3f} s after everything hung")
+    assert 0.12 < sound_s < 0.3  # twice the watchdog's time
+
+
 @pytest.mark.parametrize(
     ("fault", "name"),
     [("short_circuit", "pin"), ("lose_edges", "timer"), ("lose_end", "timer"), ("overflow_stack", "memory")],

@@ -1,5 +1,6 @@
 // The firmware with a fault built in, for the tests of its guards. BROKEN names the fault.
 #include <Arduino.h>
+#include <avr/interrupt.h>
 
 #define loop healthy_loop
 #include "buzzer_board.ino"
@@ -19,6 +20,11 @@ bool is_sounding() { return digitalRead(LED_PIN); }
 void hang() {  // the main loop alone
     for (;;) {
     }
+}
+
+void freeze() {  // with interrupts off, so that no guard but the watchdog's hardware is left
+    cli();
+    hang();
 }
 
 void short_circuit() { digitalWrite(BUZZER_PINS[4], HIGH); }  // a second buzzer
