@@ -22,7 +22,8 @@ class ScriptedBoard:
 
     lose command: not carried out; lose reply: carried out, events sent; lose all: carried out in silence;
     spoil command: checksum error; spoil reply: garbled; old reply: an older sequence number first; garbage: before the
-    reply; busy, fault: refused so; restart: forgets everything in mid-line; mute: no answer to anything any more.
+    reply; noise before: a line of noise came before the command, and is answered first; busy, fault: refused so;
+    restart: forgets everything in mid-line; mute: no answer to anything any more.
     """
 
     def __init__(self, *, hello: str = HELLO, raw: bytes | None = None) -> None:
@@ -34,6 +35,7 @@ class ScriptedBoard:
         self.commands: list[str] = []
         self.started: list[int] = []
         self.state = "idle"
+        self.play_lag_s = 0.0  # how much longer a sound lasts than it was told to
         self._ends = False
         self._mute = False
         self._restart()
@@ -66,6 +68,9 @@ class ScriptedBoard:
     def _now_us(self) -> int:
         return round(1e6 * (time.monotonic() - self._start_s)) % (1 << 32)
 
+    def _state(self) -> str:
+        return "playing" if self.state == "idle" and self._now_us() < self._busy_until_us else self.state
+
     def _serve(self) -> None:
         os.set_blocking(self._master, False)
         rest = b""
@@ -91,6 +96,9 @@ class ScriptedBoard:
         if verb == "play" and self._now_us() < self._busy_until_us:
             fault = "busy"
         refusals = {"spoil command": "0 err 1 checksum", "busy": f"{seq} err 6 busy", "fault": f"{seq} err 8 fault"}
+        if fault == "noise before":
+            self.say(framed("0 err 2 line"))
+            time.sleep(0.02)
         if fault in refusals:
             self.say(framed(refusals[fault]))
         elif fault == "restart":
@@ -115,7 +123,7 @@ class ScriptedBoard:
         if verb == "play":
             self.plays += 1
             self.started.append(self._now_us())
-            self._busy_until_us = self.started[-1] + int(arguments[-1])  # the duration, of a sweep
+            self._busy_until_us = self.started[-1] + int(arguments[-1]) + round(1e6 * self.play_lag_s)
             if not silent:
                 self.say(framed(f"! on buzzer=1 us={self.started[-1]} seq={seq}"))
             return f"on_us={self.started[-1]}"
@@ -123,5 +131,5 @@ class ScriptedBoard:
             "hello": self.hello,
             "stop": "was=0",
             "ping": f"us={self._now_us()}",
-            "status": f"state={self.state} buzzer=0 us=1 plays={self.plays} errors=0 fault=0 reset=power",
+            "status": f"state={self._state()} buzzer=0 us=1 plays={self.plays} errors=0 fault=0 reset=power",
         }[verb]

@@ -14,6 +14,7 @@ from acquire.errors import DeviceError, FirmwareError
 from rigs.waveform import Waveform
 
 SHORT = Waveform("sweep", 0.005, 1000.0, 8000.0)
+LONG = Waveform("sweep", 0.4, 1000.0, 8000.0)
 
 
 @pytest.fixture(autouse=True)
@@ -138,9 +139,36 @@ def test_a_board_that_is_pulled_out_is_named(monkeypatch):
 
 
 def test_a_busy_board_is_not_disturbed(opened, scripted):
-    scripted.faults["play"] = ["busy"]
+    opened.play(1, LONG)
     with pytest.raises(DeviceError, match=r"busy, cannot play buzzer 6 yet; wait until the last sound ends"):
-        opened.play(6, SHORT)
+        opened.play(6, LONG)
+    assert scripted.plays == 1
+
+
+def test_a_sound_that_outlasts_its_time_on_the_host_is_waited_for(opened, scripted):
+    scripted.play_lag_s = 0.3  # the board stood still, or its clock is slow
+    played(opened, scripted)
+    time.sleep(0.1)
+    played(opened, scripted)
+    assert scripted.plays == 2
+    assert scripted.started[1] - scripted.started[0] > 300_000
+    assert scripted.verbs().count("play") == 3
+
+
+def test_a_board_that_never_falls_silent_is_given_up(opened, scripted, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_serial._OVERDUE_S", 0.05)
+    scripted.play_lag_s = 60.0
+    played(opened, scripted)
+    time.sleep(0.1)
+    with pytest.raises(DeviceError, match=r"did not take `play`, 3 times"):
+        opened.play(1, SHORT)
+
+
+def test_noise_before_the_command_costs_no_second_emission(opened, scripted):
+    scripted.faults["play"] = ["noise before"]
+    played(opened, scripted)
+    assert scripted.plays == 1
+    assert scripted.verbs().count("play") == 1
 
 
 def test_a_board_that_stopped_itself_says_why(opened, scripted):

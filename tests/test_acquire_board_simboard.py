@@ -4,20 +4,23 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import yaml
 from capturing import rig_text
-from simboard import BUZZER_PINS, running_board
+from simboard import BUZZER_PINS, LED_PIN, running_board
 from simulated import make_description
 
+from acquire.devices.board_clock import BoardClock
 from acquire.devices.board_serial import SerialBoard
 from acquire.errors import DeviceError
 from rigs.session.reader import Session
 from rigs.waveform import Waveform
 
 SHORT = Waveform("sweep", 0.005, 1000.0, 8000.0)
+STALL_S = 0.0003  # behind its pace by more than the simulated board's own steps
 BIN = Path(sys.executable).parent
 SIX_BUZZERS = [
     {"id": 1 + 3 * row + column, "position_m": (-0.045 + 0.145 * column, -0.045 + 0.215 * row, -0.005)}
@@ -40,23 +43,66 @@ def opened(board):
     serial_board.close()
 
 
-def pinged_p95_s(serial_board):
-    """Return the 95th percentile of the residuals of the fitted clock, and how many pings it is of."""
-    for _ in range(40):
-        serial_board.play(1, SHORT)
-        time.sleep(0.02)
-    residuals_s = np.abs(serial_board.clock.residuals_s())
-    return np.percentile(residuals_s, 95), len(residuals_s)
+class NotedClock(BoardClock):
+    """A board clock that remembers its pings: the two host times and the board's reading."""
+
+    noted: ClassVar[list[tuple[float, float, int]]] = []
+
+    def add(self, earliest_s, latest_s, board_us):
+        self.noted.append((earliest_s, latest_s, board_us))
+        super().add(earliest_s, latest_s, board_us)
 
 
-def test_the_fitted_clock_leaves_little_of_the_pings(opened):
-    """On a busy computer the simulated board stands still now and then, as no real one does: so three tries."""
-    for _ in range(3):
-        p95_s, n_pings = pinged_p95_s(opened)
-        print(f"board clock to host clock, {n_pings} pings: 95 % within {1e6 * p95_s:.0f} us")  # noqa: T201
-        if p95_s < 0.0005 and n_pings > 30:
-            return
-    pytest.fail("the residual is above 0.5 ms")
+def clock_zero_s(board, starts):
+    """Return when, since power-on, the board's clock read zero, from the first edges of what was played."""
+    first_edges_s = board.trace().pin(LED_PIN)[0][::2]
+    zeros_s = first_edges_s - np.array([start.board_time_s for start in starts])
+    assert np.ptp(zeros_s) < 50e-6  # how exactly the firmware stamps is for its own tests to say
+    return np.median(zeros_s)
+
+
+def wait_for_trace(board, starts):
+    """Wait until the last emission's end is in the trace; the pings before it were then written down as well."""
+    end_s = time.monotonic() + 20
+    while len(board.trace().pin(LED_PIN)[0]) < 2 * len(starts):
+        assert time.monotonic() < end_s, "the trace does not tell all that was played"
+        time.sleep(0.005)
+
+
+def test_the_fitted_clock_tells_when_the_board_read_its_own(board, monkeypatch):
+    """On a busy computer the simulated board stands still now and then, as no real one does, and writes that down.
+
+    So the pings of such moments are left out, and the line through the others is held against what really was.
+    """
+    monkeypatch.setattr("acquire.devices.board_serial.BoardClock", NotedClock)
+    monkeypatch.setattr(NotedClock, "noted", [])
+    opened = SerialBoard(board.port, SHORT, [1])
+    opened.open()
+    starts, on_pace = [], np.zeros(0, dtype=bool)
+    while on_pace.sum() < 60:
+        assert len(starts) < 800, "the simulated board hardly ever kept pace: this computer is too busy"
+        for _ in range(40):
+            starts.append(opened.play(1, SHORT))
+            time.sleep(0.01)
+        wait_for_trace(board, starts)
+        read_s = clock_zero_s(board, starts) + 1e-6 * np.array([us for _, _, us in NotedClock.noted])
+        on_pace = board.pace().late_s(read_s) < STALL_S
+    opened.close()
+    clock = BoardClock()
+    for ping in np.array(NotedClock.noted, dtype=object)[on_pace][-60:]:
+        clock.add(*ping)
+    true_s = board.pace().host_time_s(read_s[on_pace][-60:])
+    board_s = 1e-6 * np.array([us for _, _, us in NotedClock.noted])[on_pace][-60:]
+    error_s = clock.host_s(board_s) - true_s
+    spread_s = np.percentile(np.abs(error_s - np.median(error_s)), 95)
+    pings_s = np.percentile(np.abs(clock.residuals_s()), 95)
+    print(  # noqa: T201
+        f"board clock to host clock: 95 % within {1e6 * spread_s:.0f} us of the truth, which is "
+        f"{1e6 * np.median(error_s):.0f} us off throughout; of the pings: within {1e6 * pings_s:.0f} us; "
+        f"{len(board_s)} pings, {len(on_pace) - on_pace.sum()} left out"
+    )
+    assert spread_s < 0.0005
+    assert abs(np.median(error_s)) < 0.002  # a reply takes longer than the question
 
 
 def test_emissions_begin_when_the_board_says(board, opened):
@@ -65,13 +111,14 @@ def test_emissions_begin_when_the_board_says(board, opened):
         starts.append((buzzer, opened.play(buzzer, SHORT)))
         time.sleep(0.03)
     opened.close()
-    trace = board.trace()
-    told_s = np.array([start.board_time_s for _, start in starts])
-    host_s = np.array([start.host_time_s for _, start in starts])
-    edges_s = [trace.pin(BUZZER_PINS[buzzer])[0] for buzzer, _ in starts]
-    first_s = np.array([edges_s[0][0], edges_s[1][0], edges_s[2][0], edges_s[3][edges_s[3] > told_s[2]][0]])
-    assert np.ptp(first_s - told_s) < 50e-6  # how exactly the firmware stamps is for its own tests to say
-    assert host_s - host_s[0] == pytest.approx(first_s - first_s[0], abs=0.002)
+    board.settle()
+    trace, pace = board.trace(), board.pace()
+    for buzzer, start in starts:
+        edges_s, _ = trace.pin(BUZZER_PINS[buzzer])
+        first_s = clock_zero_s(board, [start for _, start in starts]) + start.board_time_s
+        assert np.abs(edges_s - first_s).min() < 50e-6
+        stalls_s = np.ptp(pace.host_s - pace.board_s)  # the clock may have been fitted in one of them
+        assert start.host_time_s == pytest.approx(pace.host_time_s(first_s), abs=0.002 + stalls_s)
 
 
 def test_a_board_that_is_reset_in_mid_session_is_connected_again(board, opened):
