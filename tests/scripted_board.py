@@ -17,13 +17,21 @@ def framed(text: str) -> bytes:
     return b"%s*%02X\n" % (text.encode(), crc8(text.encode()))
 
 
+def half_with_checksum_0(seq: str) -> bytes:
+    """Return the first half of a reply to `play` whose CRC is 0: whatever is glued to it keeps a checksum that fits."""
+    halves = (f"{seq} ok on_us={number}".encode() for number in range(10_000_000))
+    return next(half for half in halves if crc8(half) == 0)
+
+
 class ScriptedBoard:
     """Answers as firmware does; `faults[verb]` is a list of faults, one for each coming command of that verb.
 
     lose command: not carried out; lose reply: carried out, events sent; lose all: carried out in silence;
     spoil command: checksum error; spoil reply: garbled; old reply: an older sequence number first; garbage: before the
     reply; noise before: a line of noise came before the command, and is answered first; busy, fault: refused so;
-    restart: forgets everything in mid-line; mute: no answer to anything any more.
+    restart: forgets everything in mid-line; unlucky restart: and the checksum of that half line is 0, so that it fits
+    what follows as well; late reply: restart, and the next command `late_for` is preceded by the reply to this one; mute: no
+    answer to anything any more.
     """
 
     def __init__(self, *, hello: str = HELLO, raw: bytes | None = None) -> None:
@@ -38,6 +46,7 @@ class ScriptedBoard:
         self.play_lag_s = 0.0  # how much longer a sound lasts than it was told to
         self._ends = False
         self._mute = False
+        self.late_for, self._late = "", b""
         self._restart()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
@@ -92,6 +101,9 @@ class ScriptedBoard:
         assert digits == f"{crc8(text.encode()):02X}"
         self.commands.append(text)
         seq, verb, *arguments = text.split(" ")
+        if verb == self.late_for:
+            self.say(self._late)
+            self._late = b""
         fault = self.faults[verb].pop(0) if self.faults[verb] else ""
         if verb == "play" and self._now_us() < self._busy_until_us:
             fault = "busy"
@@ -103,6 +115,12 @@ class ScriptedBoard:
             self.say(framed(refusals[fault]))
         elif fault == "restart":
             self.say(f"{seq} ok on_u".encode())
+            self.restart()
+        elif fault == "unlucky restart":
+            self.say(half_with_checksum_0(seq))
+            self.restart()
+        elif fault == "late reply":
+            self._late = framed(f"{seq} ok was=0")
             self.restart()
         elif fault != "lose command":
             self._mute = fault == "mute"

@@ -120,8 +120,27 @@ def test_a_board_that_restarts_on_play_is_connected_again(opened, scripted):
     assert scripted.plays == 1
 
 
-def test_a_board_that_restarts_again_and_again_is_given_up(opened, scripted):
-    scripted.faults["play"] = ["restart"] * 9
+@pytest.mark.parametrize("verb", ["hello", "stop", "status", "ping", "play"])
+def test_a_late_reply_to_an_earlier_link_is_not_taken_for_ours(opened, scripted, verb):
+    scripted.faults["play"], scripted.late_for = ["late reply"], verb
+    played(opened, scripted)
+    assert scripted.plays == 1
+    assert scripted.verbs().count("play") == 2
+
+
+def test_no_number_is_used_on_two_links(scripted, monkeypatch):
+    monkeypatch.setattr("time.monotonic_ns", lambda: 7_000_000_000)  # links that number by the clock would clash
+    for _ in range(3):
+        board = SerialBoard(scripted.port, SHORT, [1])
+        board.open()
+        board.close()
+    numbers = [command.split(" ")[0] for command in scripted.commands]
+    assert len(set(numbers)) == len(numbers) > 30
+
+
+@pytest.mark.parametrize("fault", ["restart", "unlucky restart"])
+def test_a_board_that_restarts_again_and_again_is_given_up(opened, scripted, fault):
+    scripted.faults["play"] = [fault] * 9
     with pytest.raises(DeviceError, match=r"restarted \(reset=brownout\): check its cable and its power"):
         opened.play(1, SHORT)
     with pytest.raises(DeviceError, match="not open"):
