@@ -30,8 +30,8 @@ class ScriptedBoard:
     spoil command: checksum error; spoil reply: garbled; old reply: an older sequence number first; garbage: before the
     reply; noise before: a line of noise came before the command, and is answered first; busy, fault: refused so;
     restart: forgets everything in mid-line; unlucky restart: and the checksum of that half line is 0, so that it fits
-    what follows as well; late reply: restart, and the next command `late_for` is preceded by the reply to this one; mute: no
-    answer to anything any more.
+    what follows as well; late reply: restart, and the reply to this one comes right before that to the next
+    command `late_for`; mute: no answer to anything any more.
     """
 
     def __init__(self, *, hello: str = HELLO, raw: bytes | None = None) -> None:
@@ -101,34 +101,37 @@ class ScriptedBoard:
         assert digits == f"{crc8(text.encode()):02X}"
         self.commands.append(text)
         seq, verb, *arguments = text.split(" ")
-        if verb == self.late_for:
-            self.say(self._late)
-            self._late = b""
+        self._say_late(verb)
         fault = self.faults[verb].pop(0) if self.faults[verb] else ""
         if verb == "play" and self._now_us() < self._busy_until_us:
             fault = "busy"
         refusals = {"spoil command": "0 err 1 checksum", "busy": f"{seq} err 6 busy", "fault": f"{seq} err 8 fault"}
-        if fault == "noise before":
-            self.say(framed("0 err 2 line"))
-            time.sleep(0.02)
         if fault in refusals:
             self.say(framed(refusals[fault]))
-        elif fault == "restart":
-            self.say(f"{seq} ok on_u".encode())
-            self.restart()
-        elif fault == "unlucky restart":
-            self.say(half_with_checksum_0(seq))
-            self.restart()
-        elif fault == "late reply":
-            self._late = framed(f"{seq} ok was=0")
-            self.restart()
+        elif fault in ("restart", "unlucky restart", "late reply"):
+            self._restart_instead(fault, seq)
         elif fault != "lose command":
             self._mute = fault == "mute"
             reply = self._reply(seq, verb, arguments, silent=fault in ("lose all", "mute"))
             if fault not in ("lose reply", "lose all", "mute"):
                 self._send(framed(f"{seq} ok {reply}"), fault, seq)
 
+    def _say_late(self, verb: str) -> None:
+        if verb == self.late_for:
+            self.say(self._late)
+            self._late = b""
+
+    def _restart_instead(self, fault: str, seq: str) -> None:
+        if fault == "late reply":
+            self._late = framed(f"{seq} ok was=0")
+        else:
+            self.say(f"{seq} ok on_u".encode() if fault == "restart" else half_with_checksum_0(seq))
+        self.restart()
+
     def _send(self, reply: bytes, fault: str, seq: str) -> None:
+        if fault == "noise before":
+            self.say(framed("0 err 2 line"))
+            time.sleep(0.02)
         if fault == "spoil reply":
             reply = reply.replace(b"=", b"-")
         elif fault == "old reply":

@@ -61,7 +61,7 @@ def rig_flash(*arguments):
 def test_a_dry_run_says_what_would_be_done(capsys, board, words):
     assert rig_flash("--port", "/dev/ttyX", "--board", board, "--dry-run") == 0
     printed = capsys.readouterr().out
-    assert f"found /dev/ttyX (no USB ids): taken as board {board}" in printed
+    assert printed.startswith(f"port /dev/ttyX (no USB ids): taken as board {board}\n")  # named, not found
     assert f"would run: avrdude {words}" in printed
     assert f"buzzer-board-{board.removesuffix('-old')}.hex" in printed
 
