@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from scripted_board import HELLO, ScriptedBoard, framed
 
+from acquire.devices.board_link import BoardLink
 from acquire.devices.board_serial import SerialBoard
 from acquire.errors import DeviceError, FirmwareError
 from rigs.waveform import Waveform
@@ -126,6 +127,19 @@ def test_a_late_reply_to_an_earlier_link_is_not_taken_for_ours(opened, scripted,
     played(opened, scripted)
     assert scripted.plays == 1
     assert scripted.verbs().count("play") == 2
+
+
+def test_a_reply_that_came_while_the_host_stood_still_is_read(opened, scripted, monkeypatch):
+    sent = BoardLink._send
+
+    def stand_still_after(link, line):
+        sent(link, line)
+        time.sleep(0.4)  # longer than the host waits
+
+    monkeypatch.setattr("acquire.devices.board_link.BoardLink._send", stand_still_after)
+    n_commands = len(scripted.commands)
+    played(opened, scripted)
+    assert scripted.verbs()[n_commands:] == ["ping", "play"]
 
 
 def test_no_number_is_used_on_two_links(scripted, monkeypatch):

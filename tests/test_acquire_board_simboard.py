@@ -1,7 +1,10 @@
 """The serial board against the simulated Uno that runs the real firmware: clocks, restarts, and a whole session."""
 
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import ClassVar
@@ -139,8 +142,28 @@ def test_a_board_that_is_pulled_out_in_mid_session_is_named(monkeypatch):
         opened.play(1, SHORT)
 
 
-def test_a_session_with_the_serial_board_calibrates(board, tmp_path):
+@pytest.fixture
+def starved(board):
+    """Let the board stand still again and again, as on a computer that is too busy to simulate it."""
+    generator, ends = np.random.default_rng(2), threading.Event()
+
+    def starve():
+        while not ends.wait(generator.uniform(0.2, 1.5)):
+            os.kill(board.pid, signal.SIGSTOP)
+            time.sleep(generator.uniform(0.05, 0.6))
+            os.kill(board.pid, signal.SIGCONT)
+
+    thread = threading.Thread(target=starve)
+    thread.start()
+    yield board
+    ends.set()
+    thread.join()
+
+
+@pytest.mark.parametrize("pace", ["board", "starved"])
+def test_a_session_with_the_serial_board_calibrates(pace, request, tmp_path):
     """Microphones and camera are simulated and hear and see, in real time, what the real firmware plays."""
+    board = request.getfixturevalue(pace)
     description = make_description(
         trigger={"driver": "serial", "port": board.port},
         board={"buzzers": SIX_BUZZERS, "buzzer_std_m": 0.0001},
@@ -157,10 +180,15 @@ def test_a_session_with_the_serial_board_calibrates(board, tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
     with Session.open(tmp_path / "s1.h5") as session:
         emissions = session.emissions
-        assert emissions["accepted"].sum() >= 20  # of 24; a starved simulated board may cost one
+        accepted = emissions[emissions["accepted"] == 1]
         host_s, board_s = emissions["host_time_s"], emissions["board_time_s"]
+    played = {(row["pose"], row["buzzer"]) for row in accepted}
+    assert played == {(pose, buzzer["id"]) for pose in range(4) for buzzer in SIX_BUZZERS}
+    assert len(accepted) == 24
     assert np.all(np.diff(host_s) > 0.2)
-    assert np.ptp(host_s) == pytest.approx(np.ptp(board_s), rel=0.05)
+    pace = board.pace()
+    stalls_s = np.ptp(pace.host_s - pace.board_s)
+    assert np.ptp(host_s) == pytest.approx(np.ptp(board_s), abs=0.01 + stalls_s)
     result = yaml.safe_load((tmp_path / "s1.calib.yaml").read_text())
     assert result["evaluation"]["rmse_m"] < 0.003
     assert result["residual"]["robust_sigma_s"] < 1e-6
