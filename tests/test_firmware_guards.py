@@ -95,6 +95,18 @@ def test_no_sound_outlasts_the_limit_whatever_asked_for_it():
         assert lit_s(board)[-1] == pytest.approx(0.5, abs=1e-4)
 
 
+def test_what_is_stopped_before_its_first_edge_is_silent_and_not_told():
+    with broken("cancel") as board, Talk(board.port) as host:  # its own code plays and stops at once
+        host.restart(board)
+        status = host.ask("1 status")
+        assert (status["plays"], status["state"]) == ("1", "idle")
+        board.settle(0.2)
+        assert board.trace().pin(LED_PIN)[0].size == 0
+        assert all(board.trace().pin(pin)[0].size == 0 for pin in BUZZER_PINS.values())
+        host.play("2 play 1 tone 1000 5000")  # its events are the first ones
+        assert host.ask("3 status")["plays"] == "2"
+
+
 def test_a_reset_in_mid_emission_is_silent_at_once():
     with running_board(fast=True) as board, Talk(board.port) as host:
         host.restart(board)

@@ -35,19 +35,21 @@ void lose_edges() { OCR1A -= 3000; }
 
 void overflow_stack() { (&_end)[20] = 0; }
 
-void overrun() {  // the limit: nothing to break while it sounds
+void overrun() { play_for_us(2000000); }
+
+void cancel() {  // before the first edge: no host is quick enough for that
+    play_for_us(100000);
+    player::stop(WHY_STOP);
 }
 
 }  // namespace
 
 void loop() {
+    void (*const fault)() = BROKEN;
+    const bool breaks_silence = fault == overrun || fault == cancel;
     static bool is_broken;
     healthy_loop();
-    if (!is_broken && !is_sounding() && BROKEN == overrun) {
-        is_broken = true;
-        play_for_us(2000000);
-    }
-    if (is_broken || !is_sounding()) return;
+    if (is_broken || is_sounding() == breaks_silence) return;
     is_broken = true;
-    BROKEN();
+    fault();
 }
