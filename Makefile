@@ -5,10 +5,11 @@ SEED ?= 0
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help setup demo figures test lint types imports tests lock clean
+.PHONY: help setup demo figures bench test lint types imports tests lock clean
 
 help:
 	@echo "make demo [SEED=0]  capture 25 poses on the simulated rig and calibrate them"
+	@echo "make bench          measure: each figure beside its limit"
 	@echo "make test           linter, type checker, import contracts, tests"
 	@echo "make lock           renew requirements.lock from pyproject.toml"
 	@echo "make clean          remove the environment and everything the demo made"
@@ -29,6 +30,10 @@ demo: setup
 # the README's picture, from the demo's files
 figures: setup
 	$(BIN)/python docs/figures/make.py
+
+bench: setup
+	.ci/system-packages
+	@for each in benchmarks/*.py; do $(BIN)/python $$each || exit 1; done
 
 test: lint types imports tests
 
