@@ -93,9 +93,9 @@ def capture(
         writer = earlier.writer if earlier else stack.enter_context(_new_session(path, found, rig, versions))
         status = _status(description, path)
         recording = Recording(rig, writer, description, screen, status, stop_wanted)
-        _warn(recording, space)
         if earlier is not None:
             _go_on(earlier, recording, versions)
+        _warn(recording, space)
         try:
             Poses(recording, description, earlier).capture_all()
         except SessionWriteError as error:

@@ -121,6 +121,9 @@ def test_a_board_that_restarted_between_emissions_says_so_and_is_opened_again(op
 @pytest.mark.parametrize("verb", ["hello", "stop", "status", "ping", "play"])
 def test_a_late_reply_to_an_earlier_link_is_not_taken_for_ours(opened, scripted, verb):
     scripted.faults["play"], scripted.late_for = ["late reply"], verb
+    with pytest.raises(DeviceRestartedError):
+        opened.play(1, SHORT)
+    opened.open()
     played(opened, scripted)
     assert scripted.plays == 1
     assert scripted.verbs().count("play") == 2
