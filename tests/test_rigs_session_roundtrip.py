@@ -306,7 +306,7 @@ def test_what_a_session_does_not_hold_is_said(path):
 
 def test_clocks_and_onsets_come_back_as_written(tmp_path):
     with Session.open(write_session(tmp_path / "s.h5")) as session:
-        assert session.onsets[-1].tolist()["predicted_sample"] == session.emissions["expected_sample"][-1] + 0.25
+        assert session.onsets[-1]["predicted_sample"] == session.emissions["expected_sample"][-1] + 0.25
         assert len(session.onsets) == len(session.emissions) == len(session.pings) == 4
         assert session.pings[0].tolist() == (2.499, 2.501, 1.5)
         assert session.clock_fits[0]["clock"] == layout.CLOCK_SESSION
