@@ -77,11 +77,11 @@ def capture(
     InterruptedCaptureError
         Somebody wanted it to end.
     """
-    if not resumes:
-        check_target(path)
     description = _with_poses(found.description, poses)
     space = DiskSpace(path, description)
-    space.check()
+    if not resumes:  # a resumption asks for more room, and says so itself
+        check_target(path)
+        space.check()
     rig = choose_devices(description, seed=seed)
     earlier = resume(path, rig.truth, description.capture.poses) if resumes else None
     with ExitStack() as stack:
