@@ -36,8 +36,14 @@ class Session:
     n_samples, n_channels : int
     channels : tuple of int
         Input channel of each column of the audio.
+    microphone_columns : tuple of int
+        The columns of the audio that are microphones, the reference microphone included; the sync output is none.
     audio_blocks, frames, emissions, poses, log : structured arrays
         As in `rigs.session.layout`.
+    onsets : structured array or None
+        `layout.ONSET`, a row per row of `emissions`; None where the session has none.
+    pings, clock_fits : structured arrays
+        As in `rigs.session.layout`; empty where the session has none.
     corners_px : (n_poses, n_corners, 2) array or None
         NaN where not found.
     tdoas : MeasuredTdoas or None
@@ -57,6 +63,7 @@ class Session:
         self.versions = layers.read_versions(container)
         self.channels = self.description.audio.recorded_channels()
         self.n_channels = len(self.channels)
+        self.microphone_columns = tuple(range(len(self.description.audio.microphone_channels())))
         self.log = container.read(layout.LOG, layout.LOG_LINE, (None,))
         judge = Judge(str(self.path), self.complete)
         self._read_recording(judge)
@@ -147,6 +154,12 @@ class Session:
         self.frames = judge.frames(frames, self._pictures.shape[0])
         self.poses = judge.poses(poses)
         self.emissions = judge.emissions(emissions, self.poses, self.description)
+        self.pings = layers.read_table(container, layout.PINGS, layout.PING)
+        self.clock_fits = layers.read_table(container, layout.CLOCK_FITS, layout.CLOCK_FIT)
+        onsets = layers.read_table(container, layout.ONSETS, layout.ONSET)[: len(self.emissions)]
+        self.onsets = onsets if layout.ONSETS in container else None
+        if self.onsets is not None:
+            judge.measured_rows(len(self.onsets), len(self.emissions), layout.ONSETS)
 
     def _png(self, index: int) -> NDArray[np.uint8]:
         offset, length = int(self.frames["offset"][index]), int(self.frames["length"][index])
