@@ -95,6 +95,7 @@ time.sleep(100)
             assert parent.stdout is not None
             recorder = int(parent.stdout.readline())
             assert is_running(recorder)
+            server.freeze()  # so that it has nothing to write, and would not notice by that
             parent.kill()
         wait_until(lambda: not is_running(recorder))
 
