@@ -7,12 +7,14 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from audio_inputs import RATE_HZ, counted, lost_samples, pulse_source, wait_until
 from disk_stall import stalling_disk
 from virtual_bench.pulse import pulse_server
 
 from acquire.devices.audio_portaudio import PortAudioInput
+from acquire.devices.audio_stamps import Buffer
 from acquire.devices.portaudio_child import BLOCK, Intake
 from acquire.devices.recorder import Recorder
 from acquire.errors import DeviceError
@@ -195,6 +197,20 @@ def taken(intake):
     head, samples = intake.take()
     frames, has_lost, *_ = BLOCK.unpack(head)
     return frames, bool(has_lost), samples
+
+
+def test_times_increase_even_after_a_block_that_came_late():
+    """The second block came 60 ms late, with the third right behind it, but in another call."""
+    late = [[heard(0.05, 1.05), heard(0.05, 1.16)], [heard(0.06, 1.161)]]
+    audio = PortAudioInput(Audio(driver="portaudio", device={"name": "pulse"}, channels=range(1, 9)))
+    audio._recorder = SimpleNamespace(take=lambda: late.pop(0), stop=lambda: None)
+    stamps_s = [block.host_time_s for _ in range(2) for block in audio.read()]
+    assert sorted(set(stamps_s)) == stamps_s
+    assert stamps_s == pytest.approx([1.0, 1.11, 1.11], abs=0.001)
+
+
+def heard(duration_s, came_s):
+    return Buffer(np.zeros((round(duration_s * RATE_HZ), 8), dtype=np.float32), came_s, 0.0, 0.0)
 
 
 def test_an_overflow_is_told_with_the_block_that_comes_after_it():

@@ -27,6 +27,7 @@ class PortAudioInput:
         self._columns = np.array(audio.recorded_channels()) - 1
         self._recorder: Recorder | None = None
         self._uses_driver_times = False
+        self._stamp_s = float("-inf")  # of the last block
 
     def open(self) -> str:
         """Start recording, wait until sound comes steadily, and return the driver's name and version.
@@ -78,5 +79,7 @@ class PortAudioInput:
 
     def _block(self, block: Buffer, latest_s: float) -> AudioBlock:
         stamp_s = min(driver_stamp_s(block), latest_s) if self._uses_driver_times else latest_s
+        # The last block may have come so late that it seems to begin after this one; time still goes forward.
+        self._stamp_s = stamp_s = max(stamp_s, self._stamp_s + 1 / self._rate_hz)
         adc_time_s = block.adc_s if block.adc_s > 0 else float("nan")
         return AudioBlock(block.samples[:, self._columns], stamp_s, adc_time_s, block.flags)
