@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from audio_inputs import RATE_HZ, counted, numbers, pulse_source, wait_until
+from audio_inputs import RATE_HZ, counted, lost_samples, pulse_source, wait_until
 from disk_stall import stalling_disk
 from virtual_bench.pulse import pulse_server
 
 from acquire.devices.audio_portaudio import PortAudioInput
+from acquire.devices.audio_stamps import Buffer
 from acquire.devices.portaudio_child import BLOCK, Intake
 from acquire.devices.recorder import Recorder
 from acquire.errors import DeviceError
@@ -48,10 +49,8 @@ def test_being_held_up_for_three_seconds_costs_no_sample(tmp_path, how):
         assert program.returncode == 0
     assert longest_s > 2.9, "nothing was held up"
     with Session.open(tmp_path / "s.h5") as session:
-        heard = numbers(session.audio(0, session.n_samples))
+        assert lost_samples(session.audio(0, session.n_samples)) == 0
         assert not session.audio_blocks["flags"].any()
-    assert len(heard) > 5 * RATE_HZ
-    np.testing.assert_array_equal(np.diff(heard), 1)
 
 
 def test_a_device_that_falls_silent_is_reported_and_let_go_and_comes_back(capfd):
@@ -95,6 +94,7 @@ time.sleep(100)
             assert parent.stdout is not None
             recorder = int(parent.stdout.readline())
             assert is_running(recorder)
+            server.freeze()  # so that it has nothing to write, and would not notice by that
             parent.kill()
         wait_until(lambda: not is_running(recorder))
 
@@ -127,9 +127,10 @@ def test_it_records_at_other_rates(rate_hz):
         )
         audio.open()
         time.sleep(1.0)
-        n_samples = sum(len(block.samples) for block in audio.read())
+        *blocks, last = audio.read()
         audio.close()
-    assert n_samples > 1.2 * rate_hz
+    duration_s = last.host_time_s - blocks[0].host_time_s
+    assert sum(len(block.samples) for block in blocks) / duration_s == pytest.approx(rate_hz, rel=0.2)
 
 
 def test_a_missing_library_names_the_package(tmp_path, monkeypatch):
@@ -196,6 +197,20 @@ def taken(intake):
     head, samples = intake.take()
     frames, has_lost, *_ = BLOCK.unpack(head)
     return frames, bool(has_lost), samples
+
+
+def test_times_increase_even_after_a_block_that_came_late():
+    """The second block came 60 ms late, with the third right behind it, but in another call."""
+    late = [[heard(0.05, 1.05), heard(0.05, 1.16)], [heard(0.06, 1.161)]]
+    audio = PortAudioInput(Audio(driver="portaudio", device={"name": "pulse"}, channels=range(1, 9)))
+    audio._recorder = SimpleNamespace(take=lambda: late.pop(0), stop=lambda: None)
+    stamps_s = [block.host_time_s for _ in range(2) for block in audio.read()]
+    assert sorted(set(stamps_s)) == stamps_s
+    assert stamps_s == pytest.approx([1.0, 1.11, 1.11], abs=0.001)
+
+
+def heard(duration_s, came_s):
+    return Buffer(np.zeros((round(duration_s * RATE_HZ), 8), dtype=np.float32), came_s, 0.0, 0.0)
 
 
 def test_an_overflow_is_told_with_the_block_that_comes_after_it():

@@ -27,9 +27,10 @@ class PortAudioInput:
         self._columns = np.array(audio.recorded_channels()) - 1
         self._recorder: Recorder | None = None
         self._uses_driver_times = False
+        self._stamp_s = float("-inf")  # of the last block
 
     def open(self) -> str:
-        """Start recording, wait for the first sound, and return the driver's name and version.
+        """Start recording, wait until sound comes steadily, and return the driver's name and version.
 
         Raises
         ------
@@ -50,7 +51,8 @@ class PortAudioInput:
         except BaseException:
             self.close()
             raise
-        self._uses_driver_times = driver_times_are_sane(deliveries(self._recorder.heard()), self._rate_hz)
+        settling = deliveries(self._recorder.take())  # not recorded: its times shift
+        self._uses_driver_times = driver_times_are_sane(settling, self._rate_hz)
         clock = "driver" if self._uses_driver_times else "callback"
         return f"{driver}; {device.host_api}: {device.name}; times by the {clock}"
 
@@ -77,5 +79,7 @@ class PortAudioInput:
 
     def _block(self, block: Buffer, latest_s: float) -> AudioBlock:
         stamp_s = min(driver_stamp_s(block), latest_s) if self._uses_driver_times else latest_s
+        # The last block may have come so late that it seems to begin after this one; time still goes forward.
+        self._stamp_s = stamp_s = max(stamp_s, self._stamp_s + 1 / self._rate_hz)
         adc_time_s = block.adc_s if block.adc_s > 0 else float("nan")
         return AudioBlock(block.samples[:, self._columns], stamp_s, adc_time_s, block.flags)
