@@ -116,7 +116,7 @@ class Ears:
 
     def _begin(self, buzzer: int, on_s: float) -> None:
         assert self._place is not None
-        first = self._loudspeaker.sample_at(on_s + RENDER_LATENCY_S) - 2 * HALF_WIDTH_SAMPLES - 1
+        first = self._loudspeaker.sample_at(on_s + RENDER_LATENCY_S) - 3 * HALF_WIDTH_SAMPLES - 1
         late_s = max(0, ceil(self._mix.begin - first)) / self._loudspeaker.rate_hz
         emission = Emission(buzzer, self._place.number, on_s, late_s)
         self._sounding[buzzer] = (emission, self._responses[buzzer].result())

@@ -66,7 +66,7 @@ class Response:
         edges = band_limited_impulses(position_samples[None] - first, step[None], n_edges)[0]
         n_fft = _n_fft(self.stretch_samples, self.n_samples)
         pressure = irfft(rfft(edges, n_fft) * self.spectrum, n_fft, axis=1)[:, : n_edges + self.n_samples - 1]
-        return first - HALF_WIDTH_SAMPLES, pressure.T.astype(np.float32)
+        return first - 2 * HALF_WIDTH_SAMPLES, pressure.T.astype(np.float32)
 
 
 class Air:
@@ -90,7 +90,7 @@ class Air:
         time_s, step = pin_edges(waveform)
         dry = self._response(np.ones((1, 1)), nominal_piezo())
         pulse = np.zeros(round((waveform.duration_s + 2 * RING_S + 0.1) * sample_rate_hz))
-        for first, pressure in dry.heard(time_s * sample_rate_hz + 2 * HALF_WIDTH_SAMPLES, step):
+        for first, pressure in dry.heard(time_s * sample_rate_hz + 3 * HALF_WIDTH_SAMPLES, step):
             pulse[first : first + len(pressure)] += pressure[:, 0]
         self._level = _PEAK_AT_1M / np.abs(pulse).max()
         rms = float(np.sqrt(np.sum(pulse**2) / (waveform.duration_s * sample_rate_hz)))
@@ -114,11 +114,18 @@ class Air:
 
     def _response(self, impulses: FloatArray, piezo: Piezo) -> Response:
         """Join a piezo with impulse responses (n_microphones, n) whose time zero is sample HALF_WIDTH_SAMPLES."""
-        n_samples = impulses.shape[1] + int(RING_S * self._sample_rate_hz)
+        ring = _ring(piezo, self._sample_rate_hz)
+        n_samples = impulses.shape[1] + len(ring) - 1
         stretch_samples = round(_STRETCH_S * self._sample_rate_hz)
         n_fft = _n_fft(stretch_samples, n_samples)
-        piezo_spectrum = piezo.response(rfftfreq(n_fft, 1 / self._sample_rate_hz))
-        return Response(rfft(impulses, n_fft, axis=1) * piezo_spectrum, n_samples, stretch_samples)
+        return Response(rfft(impulses, n_fft, axis=1) * rfft(ring, n_fft), n_samples, stretch_samples)
+
+
+def _ring(piezo: Piezo, sample_rate_hz: float) -> FloatArray:
+    """Return a piezo's answer to an edge (n_samples,), time zero at HALF_WIDTH_SAMPLES, cut off where it has died away."""
+    n_fft = next_fast_len(4 * int(RING_S * sample_rate_hz), real=True)
+    answer = irfft(piezo.response(rfftfreq(n_fft, 1 / sample_rate_hz)), n_fft)
+    return np.asarray(np.roll(answer, HALF_WIDTH_SAMPLES)[: HALF_WIDTH_SAMPLES + int(RING_S * sample_rate_hz)])
 
 
 def _n_fft(stretch_samples: int, n_samples: int) -> int:
