@@ -74,6 +74,8 @@ def capture(
     with _opened(rig) as versions, _new_session(path, found, rig, versions) as writer:
         status = _status(description, path)
         recording = Recording(rig, writer, description, screen, status, stop_wanted)
+        for warning in rig.camera.warnings:
+            recording.say("warning", warning)
         try:
             Poses(recording, description).capture_all()
         except SessionWriteError as error:

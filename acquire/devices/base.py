@@ -77,7 +77,9 @@ class AudioInput(Protocol):
 
 
 class Camera(Protocol):
-    """A camera."""
+    """A camera; `warnings` holds what its driver refused when it was opened."""
+
+    warnings: list[str]
 
     def open(self) -> str:
         """Start the camera and return the driver's name and version. Raises DeviceError."""

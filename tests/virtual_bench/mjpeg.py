@@ -1,4 +1,7 @@
-"""A network camera: MJPEG over HTTP on loopback, with the faults that network cameras have."""
+"""A network camera: MJPEG over HTTP on loopback, with the faults that network cameras have.
+
+Give pictures some noise, of another seed each: a camera whose pictures are the same for a second counts as frozen.
+"""
 
 from __future__ import annotations
 

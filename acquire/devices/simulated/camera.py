@@ -23,6 +23,7 @@ class SimulatedCamera:
         self._painter = Painter(stage.scene)
         self._fps = stage.scene.description.camera.fps
         self._noise = stage.scene.description.simulation.image_noise
+        self.warnings: list[str] = []
         self._start_s: float | None = None
         self._painted: tuple[Pose, NDArray[np.float32]] | None = None
 
