@@ -122,7 +122,7 @@ class Air:
 
 
 def _ring(piezo: Piezo, sample_rate_hz: float) -> FloatArray:
-    """Return a piezo's answer to an edge (n_samples,), time zero at HALF_WIDTH_SAMPLES, cut off where it has died away."""
+    """Return a piezo's answer to an edge (n_samples,), time zero at HALF_WIDTH_SAMPLES, until it has died away."""
     n_fft = next_fast_len(4 * int(RING_S * sample_rate_hz), real=True)
     answer = irfft(piezo.response(rfftfreq(n_fft, 1 / sample_rate_hz)), n_fft)
     return np.asarray(np.roll(answer, HALF_WIDTH_SAMPLES)[: HALF_WIDTH_SAMPLES + int(RING_S * sample_rate_hz)])
