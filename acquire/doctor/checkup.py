@@ -1,0 +1,75 @@
+"""The check-up, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+from acquire.devices.choose import choose_devices
+from acquire.doctor.channels import judge_channels
+from acquire.doctor.computer import judge_computer
+from acquire.doctor.devices import Devices
+from acquire.doctor.hearing import Hearing, measure
+from acquire.doctor.listening import Listening
+from acquire.doctor.picture import judge_picture, look
+from acquire.doctor.row import Row, refusal
+from acquire.doctor.timing import judge_timing
+from acquire.errors import DeviceError
+from rigs.description import RigDescription
+
+
+def check_up(description: RigDescription, folder: Path, *, seed: int | None = None) -> Iterator[Row | Hearing]:
+    """Look at everything that a session needs, and say how each is as soon as it is known.
+
+    Whatever fails, the rest is still looked at.
+
+    Parameters
+    ----------
+    description : RigDescription
+    folder : Path
+        Where the session would be written.
+    seed : int, optional
+        Of the simulated rig, instead of the description's.
+
+    Yields
+    ------
+    Row or Hearing
+        The hearing after the rows that judge it.
+
+    Raises
+    ------
+    rigs.errors.DescriptionError
+        The description asks for devices or a simulation that cannot be.
+    """
+    with ExitStack() as stack:
+        devices = Devices(choose_devices(description, seed=seed), stack)
+        yield from devices.open_each()
+        yield from _see(devices, description)
+        yield from _hear(devices, description)
+    yield from judge_computer(folder, description)
+
+
+def _see(devices: Devices, description: RigDescription) -> Iterator[Row]:
+    if devices.camera is None:
+        return
+    try:
+        view = look(devices.camera, devices.clock, description)
+    except DeviceError as error:
+        yield refusal("camera", error)
+        return
+    yield from judge_picture(view, description)
+
+
+def _hear(devices: Devices, description: RigDescription) -> Iterator[Row | Hearing]:
+    if devices.audio is None:
+        return
+    try:
+        sounds = Listening(devices, description).hear(devices.trigger)
+    except DeviceError as error:
+        yield refusal("sound", error)
+        return
+    hearing = measure(sounds, description)
+    yield from judge_timing(sounds, hearing)
+    yield from judge_channels(sounds, hearing)
+    yield hearing
