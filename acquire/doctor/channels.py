@@ -1,4 +1,4 @@
-"""The channels: dead, clipped, weak, noisy, humming, inverted and doubled ones, by what they recorded."""
+"""The channels that hear badly, and the silent buzzers, by what was heard."""
 
 from __future__ import annotations
 
@@ -12,26 +12,23 @@ from acquire.doctor.listening import Sounds
 from acquire.doctor.row import Part, Row, State
 
 FloatArray = NDArray[np.float64]
-_DOUBLED = 0.98  # correlation of differences; two microphones 1 cm apart stay below 0.9
 _UNLIKE_DB = 15.0  # so much weaker, louder or noisier than the median channel
 _POOR_SNR_DB, _NO_SNR_DB = 15.0, 3.0
 _CLIPPED_SHARE = 0.5
-_HUM_HZ, _HARMONICS, _HUM_DB, _HUM_DBFS = (50.0, 60.0), 8, 10.0, -65.0
 _DIRECT_S = (0.0005, 0.003)  # before and after the onset: sound before its echoes
-_FEW_SIGNS = 0.8
+_NEARLY_ALL = 0.6  # of the votes
 
 
 def judge_channels(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
     """Say what ails single channels and buzzers, or that nothing does."""
-    rows = [
+    findings = [
         *_unheard(sounds, hearing),
         *_clipped(hearing),
-        *_doubled(sounds, hearing),
         *_inverted(sounds, hearing),
         *_unlike(hearing),
         *_poor(hearing),
-        *_humming(sounds, hearing),
     ]
+    rows = list({row.subject: row for row in reversed(findings)}.values())[::-1]  # of each subject the first, the worst
     if not rows:
         median_db = float(np.nanmedian(hearing.snr_db))
         yield _row(
@@ -93,58 +90,31 @@ def _clipped(hearing: Hearing) -> Iterator[Row]:
         yield _row(f"channel {hearing.channels[column]}", state, finding, "turn its gain down", clipped_share=share)
 
 
-def _doubled(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
-    """Name channels that record the same, noise included."""
-    steps = np.diff(sounds.samples.astype(float), axis=0)
-    norms = np.linalg.norm(steps, axis=0)
-    correlation = steps.T @ steps / np.maximum(np.outer(norms, norms), _tiny(norms))
-    for first, second in zip(*np.triu_indices(len(norms), k=1), strict=True):
-        r = float(correlation[first, second])
-        if abs(r) > _DOUBLED:
-            same = "record the same" if r > 0 else "record the same, one of them inverted"
-            yield _row(
-                f"channels {hearing.channels[first]}, {hearing.channels[second]}",
-                State.BAD,
-                f"{same} (correlation {r:.3f})",
-                "check for one microphone on two inputs, a mono or monitor mix, and audio.channels",
-                correlation=r,
-            )
-
-
-def _tiny(norms: FloatArray) -> float:
-    return 1e-12 * max(float(norms.max()) ** 2, 1e-30)
-
-
 def _inverted(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
-    """Name channels whose direct sound has the sign against the others, for nearly all buzzers."""
+    """Name channels whose direct sound has the sign against most others, for nearly all buzzers."""
     signs = _signs(sounds, hearing)
-    votes = np.nanmean(np.where(np.isnan(signs).all(axis=1, keepdims=True), 0.0, signs), axis=1)
-    minority = votes < -_FEW_SIGNS if np.sum(votes > _FEW_SIGNS) > np.sum(votes < -_FEW_SIGNS) else votes > _FEW_SIGNS
-    for column in np.flatnonzero(minority):
+    with_most = np.nan_to_num(signs * np.sign(np.nansum(signs, axis=0)))
+    share = with_most.sum(axis=1) / np.maximum(np.abs(with_most).sum(axis=1), 1)
+    for column in np.flatnonzero(share < -_NEARLY_ALL):
         yield _row(
             f"channel {hearing.channels[column]}",
             State.LOOK,
             "inverted against most others",
-            "check the polarity of its cable (hot and cold swapped); calibration does not mind, beamforming does",
+            "check the polarity of its cable (hot and cold swapped): beamforming minds",
         )
 
 
 def _signs(sounds: Sounds, hearing: Hearing) -> FloatArray:
-    """Return the sign (n_channels, n_buzzers) of each direct sound against the one of the loudest channel."""
-    rate_hz = hearing.sample_rate_hz
-    before, after = (round(each * rate_hz) for each in _DIRECT_S)
+    """Return the sign (n_channels, n_buzzers) of each direct sound against that of one channel; NaN where not heard."""
+    before, after = (round(each * hearing.sample_rate_hz) for each in _DIRECT_S)
     signs = np.full(hearing.onset_s.shape, np.nan)
     for k, start in enumerate(sounds.starts):
-        onsets = start + hearing.onset_s[:, k] * rate_hz
-        columns = [int(column) for column in np.flatnonzero(np.isfinite(onsets) & (onsets > before))]
-        direct = {c: sounds.samples[round(onsets[c]) - before : round(onsets[c]) + after, c] for c in columns}
-        if not direct:
-            continue
-        model = direct[
-            min(direct, key=lambda c: abs(hearing.level_dbfs[c, k] - np.nanmedian(hearing.level_dbfs[:, k])))
-        ]
-        for column, sound in direct.items():
-            likeness = np.correlate(sound, model, mode="full")
+        model = None
+        for column in np.flatnonzero(hearing.heard()[:, k]):
+            onset = round(start + hearing.onset_s[column, k] * hearing.sample_rate_hz)
+            direct = sounds.samples[max(onset - before, 0) : onset + after, column]
+            model = direct if model is None else model
+            likeness = np.correlate(direct, model, mode="full")
             signs[column, k] = np.sign(likeness[np.argmax(np.abs(likeness))])
     return signs
 
@@ -181,25 +151,6 @@ def _poor(hearing: Hearing) -> Iterator[Row]:
         elif off_db[column] > _UNLIKE_DB:
             finding = f"noise of {noise_dbfs:.0f} dBFS, {off_db[column]:.0f} dB more than the others"
             yield _row(f"channel {channel}", State.LOOK, finding, "check its cable, shield and gain", **figures)
-
-
-def _humming(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
-    quiet = sounds.samples[: sounds.quiet_end].astype(float)
-    power = np.abs(np.fft.rfft((quiet - quiet.mean(axis=0)) * np.hanning(len(quiet))[:, None], axis=0)) ** 2
-    frequency_hz = np.fft.rfftfreq(len(quiet), 1 / hearing.sample_rate_hz)
-    for mains_hz in _HUM_HZ:
-        harmonic = np.round(frequency_hz / mains_hz)
-        near = (np.abs(frequency_hz - harmonic * mains_hz) < 2.5) & (harmonic >= 1) & (harmonic <= _HARMONICS)
-        hum = power[near].sum(axis=0)
-        ratio_db = 10 * np.log10(np.maximum(hum, 1e-30) / np.maximum(power[~near].sum(axis=0), 1e-30))
-        for column in np.flatnonzero((ratio_db > _HUM_DB) & (hearing.noise_dbfs > _HUM_DBFS)):
-            yield _row(
-                f"channel {hearing.channels[column]}",
-                State.LOOK,
-                f"hums at {mains_hz:.0f} Hz ({hearing.noise_dbfs[column]:.0f} dBFS)",
-                "check its shield and ground; keep it away from power supplies",
-                hum_dbfs=float(hearing.noise_dbfs[column]),
-            )
 
 
 def _listed(noun: str, numbers: list[int]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,11 +12,14 @@ from acquire.doctor.computer import judge_computer
 from acquire.doctor.devices import Devices
 from acquire.doctor.hearing import Hearing, measure
 from acquire.doctor.listening import Listening
-from acquire.doctor.picture import judge_picture, look
-from acquire.doctor.row import Row, refusal
+from acquire.doctor.noise import judge_noise
+from acquire.doctor.order import judge_order
+from acquire.doctor.picture import board_pose, judge_picture, look
+from acquire.doctor.row import Part, Row, refusal
 from acquire.doctor.timing import judge_timing
 from acquire.errors import DeviceError
 from rigs.description import RigDescription
+from rigs.geometry import Pose
 
 
 def check_up(description: RigDescription, folder: Path, *, seed: int | None = None) -> Iterator[Row | Hearing]:
@@ -45,31 +48,38 @@ def check_up(description: RigDescription, folder: Path, *, seed: int | None = No
     with ExitStack() as stack:
         devices = Devices(choose_devices(description, seed=seed), stack)
         yield from devices.open_each()
-        yield from _see(devices, description)
-        yield from _hear(devices, description)
+        pose = yield from _see(devices, description)
+        yield from _hear(devices, description, pose)
     yield from judge_computer(folder, description)
 
 
-def _see(devices: Devices, description: RigDescription) -> Iterator[Row]:
+def _see(devices: Devices, description: RigDescription) -> Generator[Row, None, Pose | None]:
+    """Judge the picture, and return where the board is."""
     if devices.camera is None:
-        return
+        return None
     try:
         view = look(devices.camera, devices.clock, description)
     except DeviceError as error:
-        yield refusal("camera", error)
-        return
+        yield refusal("camera", error, Part.PICTURE)
+        return None
     yield from judge_picture(view, description)
+    return board_pose(view, description)[0]
 
 
-def _hear(devices: Devices, description: RigDescription) -> Iterator[Row | Hearing]:
+def _hear(devices: Devices, description: RigDescription, board_to_camera: Pose | None) -> Iterator[Row | Hearing]:
     if devices.audio is None:
         return
     try:
         sounds = Listening(devices, description).hear(devices.trigger)
     except DeviceError as error:
-        yield refusal("sound", error)
+        yield refusal("sound device", error, Part.SOUND)
         return
     hearing = measure(sounds, description)
     yield from judge_timing(sounds, hearing)
-    yield from judge_channels(sounds, hearing)
+    if sounds.trigger_lost is not None:
+        yield refusal("trigger board", sounds.trigger_lost, Part.SOUND)
+    if hearing.buzzers:
+        yield from judge_channels(sounds, hearing)
+        yield from judge_order(hearing, description, board_to_camera)
+    yield from judge_noise(sounds, hearing)
     yield hearing

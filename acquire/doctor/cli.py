@@ -1,4 +1,4 @@
-"""The command line `rig-check`: is everything ready for a session?"""
+"""The command line `rig-check`: tell whether everything is ready for a session."""
 
 from __future__ import annotations
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-
-import shutil
 
 from acquire.disk import session_bytes
 from acquire.doctor.row import Part, Row, State
@@ -46,7 +45,7 @@ def _disk(folder: Path, description: RigDescription) -> Iterator[Row]:
     poses = description.capture.poses
     finding = f"{_in_words(free_bytes)} free, {poses} poses take about {_in_words(needed_bytes)}"
     if free_bytes > _SPARE * needed_bytes:
-        yield _row("disk", State.OK, finding, **figures)
+        yield _row("disk", State.OK, finding, "", **figures)
     else:
         state = State.LOOK if free_bytes > needed_bytes else State.BAD
         yield _row("disk", state, finding, "free some space, or choose another disk", **figures)
@@ -76,7 +75,7 @@ def _clock() -> Row:
         return _row("clock", State.BAD, finding, "use a system whose monotonic clock is finer than 0.1 ms", **figures)
     if late_s > _LATE_S:
         return _row("clock", State.LOOK, finding, "close other programs", **figures)
-    return _row("clock", State.OK, finding, **figures)
+    return _row("clock", State.OK, finding, "", **figures)
 
 
 def _lateness_s() -> float:

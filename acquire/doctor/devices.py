@@ -53,9 +53,9 @@ class Devices:
             yield Row(Part.DEVICES, "firmware", State.OK, firmware)
 
     def _open_camera(self, camera: Camera) -> Iterator[Row]:
-        name = self._opened("camera", camera, lambda: camera.read())
-        yield name
-        if name.state is State.OK:
+        row = self._opened("camera", camera, camera.read)
+        yield row
+        if row.state is State.OK:
             self.camera = camera
             for warning in camera.warnings:
                 finding, _, remedy = warning.rpartition(": ")
@@ -80,7 +80,7 @@ class Devices:
         while not audio.read():
             if self.clock.now_s() > end_s:
                 raise DeviceError(
-                    f"audio: opened, but delivers nothing for {_FIRST_SOUND_S:g} s: check that it is plugged in and not "
-                    "used by another program"
+                    f"audio: opened, but delivers nothing for {_FIRST_SOUND_S:g} s: check that it is plugged in and "
+                    "not used by another program"
                 )
             self.clock.sleep_s(_STEP_S)

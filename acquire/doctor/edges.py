@@ -65,4 +65,4 @@ def _first_above(share: FloatArray, level: float) -> float:
     k = int(np.argmax(share >= level))
     if k == 0:
         return 0.0 if share[0] >= level else float(len(share))
-    return k - 1 + (level - share[k - 1]) / (share[k] - share[k - 1])
+    return float(k - 1 + (level - share[k - 1]) / (share[k] - share[k - 1]))

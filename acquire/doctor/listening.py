@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import AudioInput, ClockFit, TriggerBoard
 from acquire.doctor.devices import Devices
+from acquire.errors import DeviceError
 from acquire.sample_clock import SampleClock
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
@@ -37,6 +38,8 @@ class Sounds:
         As many came within that time.
     n_losses : int
         How often the sound device said that samples were lost.
+    trigger_lost : DeviceError or None
+        Why the trigger board did not play every buzzer.
     """
 
     samples: NDArray[np.float32]
@@ -46,6 +49,7 @@ class Sounds:
     span_s: float
     span_samples: int
     n_losses: int
+    trigger_lost: DeviceError | None
 
 
 class Listening:
@@ -62,26 +66,37 @@ class Listening:
         assert devices.audio is not None
         self._audio: AudioInput = devices.audio
         self._clock, self._description = devices.clock, description
+        self._waveform = description.signal.waveform()
         self._sample_clock = SampleClock(description.audio.sample_rate_hz)
         self._blocks: list[NDArray[np.float32]] = []
         self._stamps: list[tuple[int, float]] = []
         self._n_samples = self._n_losses = 0
 
     def hear(self, trigger: TriggerBoard | None) -> Sounds:
-        """Record the quiet, then each buzzer in turn where there is a trigger board. Raises DeviceError."""
+        """Record the quiet, then each buzzer in turn where there is a trigger board, as long as it plays.
+
+        Raises
+        ------
+        DeviceError
+            The sound device was lost.
+        """
         self._take()  # what gathered while nobody listened
         began = self._n_samples
         self._listen(QUIET_S)
         quiet_end = self._n_samples
-        starts_s = []
-        if trigger is not None:
-            waveform = self._description.signal.waveform()
-            for buzzer in self._description.board.buzzers:
-                starts_s.append(trigger.play(buzzer.id, waveform).host_time_s)
-                self._listen(waveform.duration_s + max(self._description.signal.gap_s, AFTER_S))
-        return self._sounds(began, quiet_end, starts_s)
+        starts_s: list[float] = []
+        lost = None
+        for buzzer in self._description.board.buzzers if trigger else ():
+            assert trigger is not None
+            try:
+                starts_s.append(trigger.play(buzzer.id, self._waveform).host_time_s)
+            except DeviceError as error:
+                lost = error
+                break
+            self._listen(self._waveform.duration_s + max(self._description.signal.gap_s, AFTER_S))
+        return self._sounds(began, quiet_end, starts_s, lost)
 
-    def _sounds(self, began: int, quiet_end: int, starts_s: list[float]) -> Sounds:
+    def _sounds(self, began: int, quiet_end: int, starts_s: list[float], trigger_lost: DeviceError | None) -> Sounds:
         rows = [self._sample_clock.sample_at(start_s) for start_s in starts_s]
         fit = self._sample_clock.longest_fit()
         assert fit is not None  # the device delivered when it was opened
@@ -94,6 +109,7 @@ class Listening:
             last_s - first_s,
             last - first,
             self._n_losses,
+            trigger_lost,
         )
 
     def _listen(self, duration_s: float) -> None:

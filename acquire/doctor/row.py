@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from acquire.errors import CaptureError, CaptureQualityError
 
-_PLACES = ("trigger board",)  # places of messages are one word, but for these
+_SUBJECTS = ("trigger board", "audio", "camera")  # that messages begin with, as the row does already
 _ANY_DEVICE = "check its cable, and its section in the rig description"
 
 
@@ -57,10 +57,10 @@ class Row:
     exit_code: int = CaptureQualityError.exit_code
 
 
-def refusal(subject: str, error: CaptureError) -> Row:
+def refusal(subject: str, error: CaptureError, part: Part = Part.DEVICES) -> Row:
     """Return the row of a device that refuses; its message is `place: what: what to do`."""
     finding, remedy = _split(str(error))
-    return Row(Part.DEVICES, subject, State.BAD, finding, remedy or _ANY_DEVICE, exit_code=error.exit_code)
+    return Row(part, subject, State.BAD, finding, remedy or _ANY_DEVICE, exit_code=error.exit_code)
 
 
 def exit_code(rows: Iterable[Row]) -> int:
@@ -72,9 +72,9 @@ def _split(message: str) -> tuple[str, str]:
     first, colon, rest = message.partition(": ")
     if not colon:
         return message, ""
-    if " " in first and first not in _PLACES:
+    if " " in first and first not in _SUBJECTS:
         return first, rest
     what, separator, remedy = rest.partition(": ")
     if not separator:
         what, _, remedy = rest.partition("; ")
-    return f"{first}: {what}", remedy
+    return what if first in _SUBJECTS else f"{first}: {what}", remedy

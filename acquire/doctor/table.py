@@ -19,7 +19,9 @@ from rigs.library import FoundDescription
 
 _STYLES = {State.OK: "green", State.LOOK: "yellow", State.BAD: "bold red"}
 _SUBJECT_WIDTH = 15
+_NAMED = 4  # buzzers whose columns have room for the whole word
 _QUIET_SNR_DB, _NO_SNR_DB = 15.0, 3.0
+_LEGEND = "\n       level in dBFS / signal over noise in dB, of each buzzer (bz) at each channel"
 _ENDS = {
     State.OK: "everything is ready: rig-capture --session NAME",
     State.LOOK: "ready, but look at {look} of {n}: rig-capture --session NAME",
@@ -46,13 +48,17 @@ class LiveTable:
         """Print a row, or the table of what each channel heard."""
         if isinstance(finding, Hearing):
             if finding.buzzers:
+                self._console.print(Text(_LEGEND, style="dim"), soft_wrap=True)
                 self._console.print(hearing_table(finding))
             return
         if finding.part is not self._part:
             self._part = finding.part
             self._console.print(Text(f"\n{finding.part.value.capitalize()}", style="bold"))
         self._rows.append(finding)
-        self._console.print(_line(finding))
+        if self._console.is_terminal:
+            self._console.print(_line(finding))
+        else:  # one row, one line, for grep
+            self._console.print(_plain_line(finding), soft_wrap=True, markup=False)
 
     def end(self) -> int:
         """Print the sum of it all and return the exit code."""
@@ -99,12 +105,13 @@ class JsonTable:
 
 def hearing_table(hearing: Hearing) -> Table:
     """Draw level and signal-to-noise ratio of each channel and buzzer; a dash where it is not heard."""
-    table = Table(box=None, padding=(0, 1), title_justify="left", title_style="dim")
-    table.title = "        level in dBFS / signal over noise in dB, by channel and buzzer"
-    table.add_column("       ch", justify="right", style="dim")
+    table = Table(box=None, padding=(0, 1))
+    table.add_column("channel", justify="right", style="dim", width=_SUBJECT_WIDTH)
     table.add_column("noise", justify="right", style="dim")
     for buzzer in hearing.buzzers:
-        table.add_column(f"bz {buzzer}", justify="right", no_wrap=True)
+        table.add_column(
+            f"buzzer {buzzer}" if len(hearing.buzzers) <= _NAMED else f"bz {buzzer}", justify="right", no_wrap=True
+        )
     for column, channel in enumerate(hearing.channels):
         cells = [_cell(hearing, column, k) for k in range(len(hearing.buzzers))]
         table.add_row(str(channel), f"{hearing.noise_dbfs[column]:.0f}", *cells)
@@ -131,6 +138,11 @@ def _line(row: Row) -> Table:
     if row.remedy:
         grid.add_row("", "", Text.assemble(("do: ", "bold"), row.remedy))
     return grid
+
+
+def _plain_line(row: Row) -> str:
+    remedy = f"; do: {row.remedy}" if row.remedy else ""
+    return f"  {row.state.value:<5}{row.subject:<{_SUBJECT_WIDTH + 1}}{row.finding}{remedy}"
 
 
 def _as_json(row: Row) -> dict[str, object]:

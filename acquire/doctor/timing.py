@@ -41,7 +41,7 @@ def _rate(sounds: Sounds, nominal_hz: float) -> Row:
     finding = f"{nominal_hz:.0f} Hz {off_ppm:+.0f} ppm by the computer's clock (standard deviation {std_ppm:.0f} ppm)"
     if abs(off_ppm) - 3 * std_ppm > _OFF_PPM:
         return _row("sample rate", State.LOOK, finding, "choose the device's own clock, not a resampled one", **figures)
-    return _row("sample rate", State.OK, finding, **figures)
+    return _row("sample rate", State.OK, finding, "", **figures)
 
 
 def _latency(hearing: Hearing) -> Row:
@@ -55,7 +55,7 @@ def _latency(hearing: Hearing) -> Row:
     if spread_s > _UNSTEADY_S:
         remedy = "close other programs; if it stays, choose the sound device itself, not a sound server"
         return _row("latency", State.LOOK, finding, remedy, **figures)
-    return _row("latency", State.OK, finding, **figures)
+    return _row("latency", State.OK, finding, "", **figures)
 
 
 def _row(subject: str, state: State, finding: str, remedy: str = "", **figures: float) -> Row:
