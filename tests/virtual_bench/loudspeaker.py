@@ -30,8 +30,8 @@ _READING = re.compile(rb"Time: ([\d.]+) sec")
 class SoundOrigin:
     """When sample 0 sounded, or would have: from what pacat says about the place it has come to.
 
-    A reading comes late on a busy machine, and now and then one is early, so a low quantile counts. After an underrun the
-    sound goes on later than before: the readings say by how much.
+    A reading comes late on a busy machine, and now and then one is early, so a low quantile counts. After an underrun
+    the sound goes on later than before: the readings say by how much.
     """
 
     def __init__(self) -> None:
