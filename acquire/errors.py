@@ -11,6 +11,25 @@ class DeviceError(CaptureError):
     """A device is missing, was lost, or does not answer."""
 
 
+class DeviceRestartedError(DeviceError):
+    """A device answers, but has forgotten what it was told: open it again and repeat."""
+
+
+class DeviceLostError(DeviceError):
+    """A device was lost while a session is captured.
+
+    Parameters
+    ----------
+    part : str
+        "trigger", "audio" or "camera".
+    message : str
+    """
+
+    def __init__(self, part: str, message: str) -> None:
+        super().__init__(message)
+        self.part = part
+
+
 class FirmwareError(CaptureError):
     """The trigger board's firmware does not fit this host."""
 

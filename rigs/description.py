@@ -311,6 +311,7 @@ class Capture(Section):
     min_level_dbfs: float = Field(-60.0, ge=-120, le=0, description="an emission quieter than this is not accepted")
     clip_level: float = Field(0.99, gt=0, le=1, description="samples beyond this share of full scale are clipped")
     onset_tolerance_s: float = Field(0.03, gt=0, le=1, description="how far an onset may lie from where it is expected")
+    device_wait_s: float = Field(30.0, ge=0, le=3600, description="how long to wait for a device that was lost")
     retries: int = Field(2, ge=0, le=20, description="how often a bad emission is fired again")
 
 
@@ -339,11 +340,12 @@ class Fault(Section):
 
     kind: Literal[
         "dead_channel", "silent_buzzer", "loud_channel", "audio_overflow", "board_moves", "trigger_lost", "audio_lost",
-        "camera_lost",
+        "camera_lost", "trigger_reset", "camera_frozen", "clock_jump",
     ]  # fmt: skip
     channel: Channel | None = Field(None, description="dead_channel, loud_channel: which")
     buzzer: int | None = Field(None, ge=1, le=255, description="silent_buzzer: which")
     pose: int = Field(0, ge=0, description="the first pose (counted from 0) at which it happens")
+    duration_s: float | None = Field(None, gt=0, description="trigger_lost, audio_lost, camera_lost: for how long")
 
     @model_validator(mode="after")
     def _names_what_it_hits(self) -> Fault:

@@ -25,10 +25,14 @@ class SimulatedCamera:
         self._noise = stage.scene.description.simulation.image_noise
         self.warnings: list[str] = []
         self._start_s: float | None = None
+        self._frozen: Frame | None = None
         self._painted: tuple[Pose, NDArray[np.float32]] | None = None
 
     def open(self) -> str:
-        """Start the camera and return the driver's name and version."""
+        """Start the camera and return the driver's name and version. Raises DeviceError while it is unplugged."""
+        if self._stage.is_out("camera_lost"):
+            raise DeviceError("camera: there is no simulated camera: plug it in")
+        self._frozen = None
         self._start_s = self._stage.clock.now_s()
         return "simulated-camera 1.0"
 
@@ -40,8 +44,9 @@ class SimulatedCamera:
         DeviceError
             The camera is not open, or lost.
         """
-        if self._stage.faults("camera_lost"):
-            raise DeviceError("camera: the simulated camera is gone; check its cable and start again")
+        if self._stage.is_out("camera_lost"):
+            self._start_s = None
+            raise DeviceError("camera: the simulated camera is gone: check its cable")
         if self._start_s is None:
             raise DeviceError("camera: the simulated camera is not open; open it first")
         clock = self._stage.clock
@@ -52,7 +57,10 @@ class SimulatedCamera:
         clean = self._clean(taken_s)
         noisy = clean + self._noise * rng.standard_normal(clean.shape, dtype=np.float32)
         image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-        return Frame(image, taken_s + _STAMP_JITTER_S * abs(float(rng.standard_normal())))
+        frame = Frame(image, taken_s + _STAMP_JITTER_S * abs(float(rng.standard_normal())))
+        if self._stage.happens("camera_frozen"):
+            self._frozen = frame
+        return self._frozen or frame
 
     def close(self) -> None:
         """Stop the camera; safe to call twice."""
