@@ -8,7 +8,6 @@ from acquire.clock import MonotonicClock
 from acquire.devices.audio_portaudio import PortAudioInput
 from acquire.devices.base import AudioInput, Camera, Rig, TriggerBoard
 from acquire.devices.board_serial import SerialBoard
-from acquire.errors import DeviceError
 from rigs.description import RigDescription
 from rigs.errors import DescriptionError
 
