@@ -13,6 +13,7 @@ import numpy as np
 
 from acquire.devices.base import Rig
 from acquire.devices.choose import choose_devices
+from acquire.disk import DiskSpace
 from acquire.errors import CaptureError, CaptureQualityError, InterruptedCaptureError
 from acquire.poses import Poses
 from acquire.recording import Recording
@@ -63,6 +64,8 @@ def capture(
         The disk is full or lost; what was flushed before is kept.
     DeviceError, FirmwareError
         A device is missing or was lost; as for all errors below, what came before is saved in a closed file.
+    DiskShortError
+        The disk is nearly full; before any device was touched, or with all that was recorded in a closed file.
     CaptureQualityError
         The board was not found, or nothing was heard.
     InterruptedCaptureError
@@ -70,6 +73,8 @@ def capture(
     """
     check_target(path)
     description = _with_poses(found.description, poses)
+    space = DiskSpace(path, description)
+    space.check()
     rig = choose_devices(description, seed=seed)
     with _opened(rig) as versions, _new_session(path, found, rig, versions) as writer:
         status = _status(description, path)
@@ -77,6 +82,9 @@ def capture(
         for warning in rig.camera.warnings:
             recording.say("warning", warning)
         try:
+            if (doubt := space.doubt()) is not None:
+                recording.say("warning", doubt)
+            recording.clocks.store_camera(rig.clock.now_s())
             Poses(recording, description).capture_all()
         except SessionWriteError as error:
             raise SessionWriteError(f"{error}; {saved_line(status)}") from error
@@ -151,5 +159,7 @@ def _end_state(error: CaptureError) -> State:
 def _end(recording: Recording, state: State, level: str, text: str) -> None:
     """Close the file well, whatever ended the capture."""
     recording.status.state, recording.status.advice = state, ""
+    if (rate := recording.clocks.store_session()) is not None:
+        recording.say("info", rate)
     recording.say(level, text)
     recording.writer.close()

@@ -20,14 +20,18 @@ class DeviceLostError(DeviceError):
 
     Parameters
     ----------
+    message : str
     part : str
         "trigger", "audio" or "camera".
-    message : str
     """
 
-    def __init__(self, part: str, message: str) -> None:
+    def __init__(self, message: str, part: str = "") -> None:
         super().__init__(message)
         self.part = part
+
+
+class DiskShortError(CaptureError):
+    """There is no room left on the disk; the session is closed well while there still is a little."""
 
 
 class FirmwareError(CaptureError):

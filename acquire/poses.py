@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import Frame
 from acquire.emissions import ChannelFaults, Emissions
-from acquire.errors import CaptureQualityError
+from acquire.errors import CaptureQualityError, DeviceLostError
+from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.status import State
 from acquire.stillness import Sight, StillBoard
@@ -44,7 +45,8 @@ class Poses:
     def __init__(self, recording: Recording, description: RigDescription) -> None:
         self._recording, self._status, self._clock = recording, recording.status, recording.rig.clock
         self._board, self._limits = description.board, description.capture
-        self._emissions = Emissions(recording, description)
+        self._reconnection = Reconnection(recording, description)
+        self._emissions = Emissions(recording, description, self._reconnection)
         self._shots = [
             (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
         ]
@@ -54,21 +56,32 @@ class Poses:
         self._last_corners_px: FloatArray | None = None
 
     def capture_all(self) -> None:
-        """Capture until enough poses are good.
+        """Capture until enough poses are good; what a lost device has spoilt is captured again.
 
         Raises
         ------
-        DeviceError, InterruptedCaptureError
+        DeviceError, FirmwareError, DiskShortError, InterruptedCaptureError
         CaptureQualityError
             The board was not found still at a new place in time, or nothing was heard again and again.
         """
         while self._status.saved < self._status.poses:
-            frame, corners_px = self._wait_for_still_board()
-            self._again = not self._capture_pose(frame, corners_px)
-            if not self._again:
-                self._last_corners_px = corners_px
-                self._status.saved += 1
+            try:
+                self._capture_next()
+            except DeviceLostError as loss:
+                self._status.buzzer = None
+                self._reconnection.restore(loss)
+
+    def _capture_next(self) -> None:
+        frame, corners_px = self._wait_for_still_board()
+        self._again = True  # until it is known to be good
+        try:
+            is_good = self._capture_pose(frame, corners_px)
+        finally:
             self._pose += 1
+        if is_good:
+            self._again, self._last_corners_px = False, corners_px
+            self._status.saved += 1
+            self._reconnection.forgive()
 
     def _wait_for_still_board(self) -> tuple[Frame, FloatArray]:
         """Return the picture in which the board has come to rest at a new place, and its corners."""

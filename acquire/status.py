@@ -22,6 +22,7 @@ class State(StrEnum):
     FIRING = "firing"
     CHECKING = "checking"
     COMPARING = "comparing"
+    RECONNECTING = "reconnecting"
     FINISHED = "finished"
     INTERRUPTED = "interrupted"
     LOST = "lost"
@@ -67,6 +68,7 @@ class Status:
     advice: str = ""
     faults: dict[int, str] = field(default_factory=dict)
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=20))
+    backlog_s: float = 0.0
     level_dbfs: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:

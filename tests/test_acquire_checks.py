@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from acquire.checks import check_emission
-from acquire.sample_clock import SampleClock
 from acquire.stillness import Sight, StillBoard
 from rigs.board import movement_px
 from rigs.description import Capture
@@ -88,46 +87,6 @@ def test_a_channel_of_nan_is_silent():
 @pytest.mark.parametrize("n_samples", [0, 10, 4000])
 def test_a_recording_that_is_too_short_is_not_heard(n_samples):
     assert check(heard(SWEEP)[:n_samples]).problem() == "not heard"
-
-
-def blocks(clock, first, last, *, lost_s=0.0, seed=0):
-    jitter = np.random.default_rng(seed).normal(0, 0.001, last)
-    return [clock.add(1000 * k, 500 + 1000 * k / RATE_HZ + lost_s + jitter[k]) for k in range(first, last)]
-
-
-def test_the_sample_clock_averages_jitter():
-    clock = SampleClock(RATE_HZ)
-    assert not any(blocks(clock, 0, 200))
-    assert clock.sample_at(502.0) == pytest.approx(96000, abs=0.0005 * RATE_HZ)
-
-
-def test_the_sample_clock_notices_lost_samples_and_is_right_afterwards():
-    clock = SampleClock(RATE_HZ)
-    blocks(clock, 0, 100)
-    assert sum(blocks(clock, 100, 200, lost_s=0.02)) == 1
-    assert clock.sample_at(502.02) == pytest.approx(96000, abs=0.0005 * RATE_HZ)
-
-
-def test_a_late_stamp_or_two_are_not_lost_samples():
-    clock = SampleClock(RATE_HZ)
-    blocks(clock, 0, 100)
-    assert not any(blocks(clock, 100, 102, lost_s=0.05))
-    assert not any(blocks(clock, 102, 150))
-
-
-def test_stamps_that_came_late_at_first_are_not_lost_samples():
-    clock = SampleClock(RATE_HZ)
-    blocks(clock, 0, 10, lost_s=0.05)
-    assert not any(blocks(clock, 10, 100))
-    assert clock.sample_at(502.0) == pytest.approx(96000, abs=0.0005 * RATE_HZ)
-
-
-def test_an_empty_sample_clock_knows_nothing():
-    clock = SampleClock(RATE_HZ)
-    assert clock.sample_at(1.0) is None
-    clock.add(0, 1.0)
-    clock.restart()
-    assert clock.sample_at(1.0) is None
 
 
 CORNERS = np.stack(np.meshgrid(np.arange(9.0) * 20, np.arange(6.0) * 20), axis=-1).reshape(-1, 2)

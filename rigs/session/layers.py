@@ -114,6 +114,11 @@ def read_versions(container: Container) -> dict[str, str]:
     return listing
 
 
+def read_table(container: Container, name: str, dtype: np.dtype[np.void]) -> NDArray[Any]:
+    """Return an optional table of records; empty where there is none."""
+    return container.read(name, dtype, (None,)) if name in container else np.empty(0, dtype)
+
+
 def read_corners(
     container: Container, description: RigDescription, n_poses: int, judge: Judge
 ) -> NDArray[np.float64] | None:

@@ -16,6 +16,9 @@ AUDIO_BLOCKS = "audio/blocks"  # (n_blocks,) AUDIO_BLOCK
 CAMERA_STREAM = "camera/stream"  # (n_bytes,) uint8: PNG pictures, one after another
 CAMERA_FRAMES = "camera/frames"  # (n_frames,) FRAME
 EMISSIONS = "emissions"  # (n_emissions,) EMISSION
+ONSETS = "emissions_onset"  # optional (n_emissions,) ONSET, a row per row of emissions
+PINGS = "clock/pings"  # optional (n_pings,) PING
+CLOCK_FITS = "clock/fits"  # optional (n_fits,) CLOCK_FIT
 POSES = "poses"  # (n_poses,) POSE
 LOG = "log"  # (n_lines,) LOG_LINE
 DESCRIPTION = "rig/description"  # (n_bytes,) uint8: the YAML word for word; attribute sha256
@@ -61,6 +64,33 @@ EMISSION = np.dtype(
         ("accepted", "u1"),
     ]
 )
+ONSET = np.dtype(
+    [
+        ("predicted_sample", "<f8"),  # from the board's ON event, the clocks and the latency; NaN: unknown
+        ("predicted_std_s", "<f8"),  # standard deviation of the prediction
+        ("measured_sample", "<f8"),  # where it begins in the sound: median over the channels; NaN: not heard
+        ("latency_s", "<f8"),  # of the audio path, within the prediction; NaN: not learnt yet
+    ]
+)
+PING = np.dtype(
+    [
+        ("earliest_host_time_s", "<f8"),  # the board's clock was read between these two
+        ("latest_host_time_s", "<f8"),
+        ("board_time_s", "<f8"),
+    ]
+)
+CLOCK_FIT = np.dtype(
+    [
+        ("clock", "S8"),  # CLOCK_*
+        ("since_host_time_s", "<f8"),  # of the first reading it rests on
+        ("host_time_s", "<f8"),  # a point of the line: when the clock read `reading`
+        ("reading", "<f8"),  # a row of time_data, or seconds
+        ("rate", "<f8"),  # of the clock, per second of the host
+        ("rate_std", "<f8"),  # standard deviation of the rate, as a share of it
+        ("std_s", "<f8"),  # standard deviation of a host time by this line
+        ("n_readings", "<i4"),
+    ]
+)
 POSE = np.dtype(
     [
         ("pose", "<i4"),
@@ -70,6 +100,11 @@ POSE = np.dtype(
     ]
 )
 LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
+
+CLOCK_AUDIO = b"audio"  # rows of time_data, by the stamps of audio/blocks; as used for the emission stored next
+CLOCK_BOARD = b"board"  # board_time_s, by clock/pings; as used for the emission stored next
+CLOCK_CAMERA = b"camera"  # host_time_s of a frame, whose delay is unknown
+CLOCK_SESSION = b"session"  # as audio, by all stamps of the longest stretch without a break
 
 FLAG_OVERFLOW = 1  # the driver says samples before this block were lost
 FLAG_GAP = 2  # the clock says so

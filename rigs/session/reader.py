@@ -40,6 +40,10 @@ class Session:
         The columns of the audio that are microphones, the reference microphone included; the sync output is none.
     audio_blocks, frames, emissions, poses, log : structured arrays
         As in `rigs.session.layout`.
+    onsets : structured array or None
+        `layout.ONSET`, a row per row of `emissions`; None where the session has none.
+    pings, clock_fits : structured arrays
+        As in `rigs.session.layout`; empty where the session has none.
     corners_px : (n_poses, n_corners, 2) array or None
         NaN where not found.
     tdoas : MeasuredTdoas or None
@@ -150,6 +154,12 @@ class Session:
         self.frames = judge.frames(frames, self._pictures.shape[0])
         self.poses = judge.poses(poses)
         self.emissions = judge.emissions(emissions, self.poses, self.description)
+        self.pings = layers.read_table(container, layout.PINGS, layout.PING)
+        self.clock_fits = layers.read_table(container, layout.CLOCK_FITS, layout.CLOCK_FIT)
+        onsets = layers.read_table(container, layout.ONSETS, layout.ONSET)[: len(self.emissions)]
+        self.onsets = onsets if layout.ONSETS in container else None
+        if self.onsets is not None:
+            judge.measured_rows(len(self.onsets), len(self.emissions), layout.ONSETS)
 
     def _png(self, index: int) -> NDArray[np.uint8]:
         offset, length = int(self.frames["offset"][index]), int(self.frames["length"][index])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import zlib
 from collections.abc import Iterator, Mapping
@@ -41,6 +42,9 @@ class SessionWriter:
         self._blocks = GrowingTable(file, layout.AUDIO_BLOCKS, layout.AUDIO_BLOCK)
         self._frames = GrowingTable(file, layout.CAMERA_FRAMES, layout.FRAME)
         self._emissions = GrowingTable(file, layout.EMISSIONS, layout.EMISSION)
+        self._onsets = GrowingTable(file, layout.ONSETS, layout.ONSET)
+        self._pings = GrowingTable(file, layout.PINGS, layout.PING)
+        self._fits = GrowingTable(file, layout.CLOCK_FITS, layout.CLOCK_FIT)
         self._poses = GrowingTable(file, layout.POSES, layout.POSE)
         self._log = GrowingTable(file, layout.LOG, layout.LOG_LINE)
         self._state = file.create_dataset(layout.STATE, data=np.array([layout.STATE_OPEN], dtype=np.uint8))
@@ -157,13 +161,39 @@ class SessionWriter:
         host_time_s: float,
         expected_sample: int,
         accepted: bool,
+        predicted_sample: float = math.nan,
+        predicted_std_s: float = math.nan,
+        measured_sample: float = math.nan,
+        latency_s: float = math.nan,
     ) -> None:
-        """Append what was played; the fields are those of `layout.EMISSION`."""
+        """Append what was played; the fields are those of `layout.EMISSION` and `layout.ONSET`."""
         label = _cut(waveform, layout.EMISSION["waveform"].itemsize)
         with self._appending():
+            self._onsets.append(predicted_sample, predicted_std_s, measured_sample, latency_s)
             self._emissions.append(
                 pose, buzzer, repeat, label, board_time_s, host_time_s, expected_sample, bool(accepted)
             )
+
+    def append_ping(self, *, earliest_host_time_s: float, latest_host_time_s: float, board_time_s: float) -> None:
+        """Append a reading of the trigger board's clock; the fields are those of `layout.PING`."""
+        with self._appending():
+            self._pings.append(earliest_host_time_s, latest_host_time_s, board_time_s)
+
+    def append_clock_fit(
+        self,
+        *,
+        clock: bytes,
+        since_host_time_s: float,
+        host_time_s: float,
+        reading: float,
+        rate: float,
+        rate_std: float,
+        std_s: float,
+        n_readings: int,
+    ) -> None:
+        """Append a line from a device's clock to the host's; the fields are those of `layout.CLOCK_FIT`."""
+        with self._appending():
+            self._fits.append(clock, since_host_time_s, host_time_s, reading, rate, rate_std, std_s, n_readings)
 
     def append_pose(self, *, pose: int, start_host_time_s: float, end_host_time_s: float, accepted: bool) -> None:
         """Append a board position that is done with; the fields are those of `layout.POSE`."""
@@ -197,7 +227,9 @@ class SessionWriter:
         with self._appending():
             for stream in (self._time_data, self._pictures):
                 stream.flush()
-            for table in (self._blocks, self._frames, self._poses, self._emissions, self._log):
+            for table in (self._blocks, self._frames, self._pings, self._fits, self._poses):
+                table.flush()
+            for table in (self._onsets, self._emissions, self._log):
                 table.flush()
         self._n_flushed_samples = self.n_samples
 

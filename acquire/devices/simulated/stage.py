@@ -103,7 +103,7 @@ class Stage:
     def is_out(self, kind: str) -> bool:
         """Tell whether a device is gone by a fault of this kind: for ever, or for a while from mid-pose on."""
         now_s = self.clock.now_s()
-        for fault in self.faults(kind):
+        for fault in self.faults(kind) if self.pose >= 0 else []:
             if fault.duration_s is None:
                 return True
             if self._is_half_measured():
