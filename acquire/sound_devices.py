@@ -36,9 +36,14 @@ class SoundDevice:
     inputs: int
     default_rate_hz: float
 
+    def words(self) -> str:
+        """Return it as the rig description names it."""
+        name, host_api = (json.dumps(text, ensure_ascii=False) for text in (self.name, self.host_api))
+        return f"{{name: {name}, host_api: {host_api}}}"
+
     def describe(self) -> str:
-        """Return it in one line, with the words that the rig description needs."""
-        return f"{{name: {json.dumps(self.name)}, host_api: {json.dumps(self.host_api)}}} ({self.inputs} inputs)"
+        """Return it in one line."""
+        return f"{self.words()} ({self.inputs} inputs)"
 
 
 def sound_devices() -> list[SoundDevice]:

@@ -33,10 +33,8 @@ def choose_devices(description: RigDescription, *, seed: int | None = None) -> R
 
     Raises
     ------
-    DeviceError
-        A driver is not available.
     rigs.errors.DescriptionError
-        The description asks for a simulation that cannot be.
+        The description asks for a mixture or a simulation that cannot be.
     """
     trigger, audio, camera = _trigger(description), _audio(description), _camera(description)
     if audio and not trigger:
@@ -49,10 +47,10 @@ def choose_devices(description: RigDescription, *, seed: int | None = None) -> R
     from acquire.devices.simulated.rig import simulated_rig  # noqa: PLC0415 - OpenCV and SciPy load late
 
     seed = description.simulation.seed if seed is None else seed
-    rig = simulated_rig(description, seed, trigger, real_time=camera is not None)
-    if audio and trigger:  # it hears the board itself
+    rig = simulated_rig(description, seed, trigger, in_real_time=camera is not None)
+    if trigger and audio:  # it hears the board itself
         rig = replace(rig, trigger=trigger, audio=audio, truth=None)
-    return replace(rig, camera=camera, operator=Person(), truth=None) if camera else rig
+    return replace(rig, camera=camera, truth=None) if camera else rig
 
 
 def _trigger(description: RigDescription) -> TriggerBoard | None:
