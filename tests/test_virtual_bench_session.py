@@ -1,4 +1,4 @@
-"""A whole session of real stacks without hardware: real firmware, PortAudio, OpenCV and pyserial, and the truth beside it.
+"""A whole session without hardware: real firmware, PortAudio, OpenCV and pyserial, and the truth beside it.
 
 It takes real time, so one session is captured and everything about it is checked.
 """
@@ -23,11 +23,7 @@ def test_a_session_of_real_stacks_is_right_to_a_millimetre(tmp_path):
     with Session.open(outcome.session_path) as session:
         offsets_s = onset_offsets_s(session)
         corners_px = corner_errors_px(session, outcome.truth)
-        print(  # noqa: T201
-            f"virtual bench, {POSES} poses, {len(offsets_s)} emissions: microphones {1e3 * outcome.evaluation.rmse_m:.2f} mm "
-            f"RMSE; onsets after ON: median {1e3 * np.median(offsets_s):.1f} ms, 95 % within "
-            f"{1e3 * spread_p95_s(offsets_s):.1f} ms of it; corners {np.median(corners_px):.3f} px"
-        )
+        say_figures(outcome.evaluation.rmse_m, offsets_s, corners_px)
         check_recording(session)
         check_against_truth(session, outcome.truth)
     assert f"{POSES} poses saved" in outcome.said
@@ -37,11 +33,19 @@ def test_a_session_of_real_stacks_is_right_to_a_millimetre(tmp_path):
     assert corners_px.max() < 0.15
 
 
+def say_figures(rmse_m, offsets_s, corners_px):
+    print(  # noqa: T201
+        f"virtual bench, {POSES} poses, {len(offsets_s)} emissions: microphones {1e3 * rmse_m:.2f} mm RMSE; onsets "
+        f"{1e3 * np.median(offsets_s):.1f} ms after ON, 95 % within {1e3 * spread_p95_s(offsets_s):.1f} ms of that; "
+        f"corners {np.median(corners_px):.3f} px"
+    )
+
+
 def check_recording(session):
     assert session.complete
     assert session.verify() == []
     assert session.truth is None  # the bench keeps it to itself
-    assert not (session.blocks["flags"] & FLAG_OVERFLOW).any()
+    assert not (session.audio_blocks["flags"] & FLAG_OVERFLOW).any()
     assert set(session.emissions["buzzer"]) == {1, 2, 3, 4, 5, 6}
     assert "buzzer-board" in session.versions["trigger"]
     assert "opencv" in session.versions["camera"]
