@@ -20,8 +20,28 @@ _TONE_WARNING = (
 )
 
 
+def _list_devices(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
+    """Print what there is, and end."""
+    if not is_wanted or context.resilient_parsing:
+        return
+    from rich.console import Console
+
+    from acquire.device_list import show_devices
+
+    show_devices(Console())
+    context.exit()
+
+
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="acoustic-camera-rig")
+@click.option(
+    "--list-devices",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_devices,
+    help="Show sound devices, cameras and serial ports as the rig description names them, and exit.",
+)
 @click.option(
     "--session",
     required=True,

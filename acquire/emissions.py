@@ -170,6 +170,7 @@ class Emissions:
         before = self._samples(self._description.signal.gap_s)
         after = self._samples(self._waveform.duration_s + self._reach_s())
         first, samples = self._recording.samples(expected_sample - before, expected_sample + after)
+        samples = samples[:, : len(self._description.audio.microphone_channels())]  # the sync output is no microphone
         return check_emission(samples, expected_sample - first, self._waveform, self._limits, self._rate_hz)
 
     def _store(self, shot: Shot, pose: int, buzzer: int, repeat: int, accepted: bool) -> None:

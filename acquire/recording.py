@@ -112,7 +112,6 @@ class Recording:
         if part == "audio":
             self._is_gap = True
             self._heard_s, self._mute_s = self.rig.clock.now_s(), _FIRST_BLOCK_S
-            self.clocks.latency.forget()
 
     def look(self) -> Frame:
         """Return the camera's next frame. Raises DeviceLostError, and as `listen` does."""
@@ -183,6 +182,7 @@ class Recording:
 
     def _note_loss(self, sample: int, flags: int, step_s: float | None) -> None:
         self.losses += 1
+        self.clocks.latency.forget()  # stamps that step may mean that the audio path has changed
         where = f"before {sample / self._sample_rate_hz:.1f} s of the recording"
         if step_s is not None and step_s < 0:
             self.say("warning", f"the host's clock jumped by {-step_s:.2f} s {where}: did the computer sleep?")

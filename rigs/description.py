@@ -57,13 +57,18 @@ class Audio(Section):
     expected_positions_m: tuple[Position, ...] | None = Field(
         None, description="about where each microphone is, in the camera frame: lets rig-check name swapped channels"
     )
+    sync_channel: Channel | None = Field(
+        None, description="input channel, counted from 1, that is wired to the trigger board's sync output"
+    )
 
     @model_validator(mode="after")
     def _channels_differ(self) -> Audio:
         recorded = self.recorded_channels()
         twice = sorted({channel for channel in recorded if recorded.count(channel) > 1})
         if twice:
-            raise ValueError(f"channel {twice[0]} is listed twice: every microphone needs a channel of its own")
+            raise ValueError(
+                f"channel {twice[0]} is listed twice: every microphone, and the sync output, needs a channel of its own"
+            )
         expected = self.expected_positions_m
         if expected is not None and len(expected) != len(self.channels):
             raise ValueError(f"expected_positions_m has {len(expected)} places, give one for each of audio.channels")
@@ -72,7 +77,11 @@ class Audio(Section):
         return self
 
     def recorded_channels(self) -> tuple[int, ...]:
-        """Return the input channels in the order of the columns of `time_data`: microphones, then the reference."""
+        """Return the input channels in the order of the columns of `time_data`: microphones, reference, sync output."""
+        return self.microphone_channels() + (() if self.sync_channel is None else (self.sync_channel,))
+
+    def microphone_channels(self) -> tuple[int, ...]:
+        """Return the input channels of the microphones, the first columns of `time_data`; the reference is the last."""
         extra = (self.reference_microphone.channel,) if self.reference_microphone else ()
         return self.channels + extra
 

@@ -151,7 +151,7 @@ def _opened(source: CameraSource) -> cv2.VideoCapture:
         os.environ.setdefault(name, value)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     _check_there(source)
-    if source.kind is SourceKind.ADDRESS:
+    if source.kind in (SourceKind.ADDRESS, SourceKind.FILE):
         times = {cv2.CAP_PROP_OPEN_TIMEOUT_MSEC: _OPEN_TIMEOUT_S, cv2.CAP_PROP_READ_TIMEOUT_MSEC: _READ_TIMEOUT_S}
         settings = [number for prop, time_s in times.items() for number in (prop, int(time_s * 1000))]
         capture = cv2.VideoCapture(str(source.place), cv2.CAP_FFMPEG, settings)

@@ -36,6 +36,8 @@ class Session:
     n_samples, n_channels : int
     channels : tuple of int
         Input channel of each column of the audio.
+    microphone_columns : tuple of int
+        The columns of the audio that are microphones, the reference microphone included; the sync output is none.
     audio_blocks, frames, emissions, poses, log : structured arrays
         As in `rigs.session.layout`.
     onsets : structured array or None
@@ -61,6 +63,7 @@ class Session:
         self.versions = layers.read_versions(container)
         self.channels = self.description.audio.recorded_channels()
         self.n_channels = len(self.channels)
+        self.microphone_columns = tuple(range(len(self.description.audio.microphone_channels())))
         self.log = container.read(layout.LOG, layout.LOG_LINE, (None,))
         judge = Judge(str(self.path), self.complete)
         self._read_recording(judge)

@@ -18,9 +18,11 @@ from virtual_bench.pulse import PulseServer
 _LATENCY_MS = 300  # of pacat: the room that `_LEAD_S` needs
 _LEAD_S = 0.2  # so far ahead is written: a pause of this program up to that length goes unheard
 _PRIMING_S = 0.35  # silence that pacat wants before it begins
-_WINDOW_S = 2.0  # of readings; the quickest of them counts
-_MIN_READINGS = 15
-_SLIP_S = 0.002  # a change of the origin beyond this is a break in the sound
+_WINDOW_S = 4.0  # of readings
+_MIN_READINGS = 30
+_QUANTILE = 0.1  # of the readings: most come late on a busy machine, one now and then is early
+_STEP_S = 0.0005  # the origin follows in steps of at least this much: the sink's clock drifts by some 40 ppm
+_SLIP_S = 0.005  # a step beyond this is a break in the sound
 _PIPE_BYTES = 1 << 18
 _READING = re.compile(rb"Time: ([\d.]+) sec")
 
@@ -28,8 +30,8 @@ _READING = re.compile(rb"Time: ([\d.]+) sec")
 class SoundOrigin:
     """When sample 0 sounded, or would have: from what pacat says about the place it has come to.
 
-    Each reading comes a little late, never early, so the quickest counts. After an underrun the sound goes on later
-    than before: the readings say by how much.
+    A reading comes late on a busy machine, and now and then one is early, so a low quantile counts. After an underrun
+    the sound goes on later than before: the readings say by how much.
     """
 
     def __init__(self) -> None:
@@ -49,7 +51,7 @@ class SoundOrigin:
     def estimate_s(self, now_s: float) -> float | None:
         """Return the origin in host time, None while there are too few readings."""
         recent = [origin_s for host_s, origin_s in list(self._readings) if now_s - host_s < _WINDOW_S]
-        return min(recent) if len(recent) >= _MIN_READINGS else None
+        return float(np.quantile(recent, _QUANTILE)) if len(recent) >= _MIN_READINGS else None
 
     def first_guess_s(self) -> float | None:
         """Return the origin by however few readings there are."""
@@ -106,11 +108,13 @@ class Loudspeaker:
         return (host_s - self.origin_s) * self.rate_hz
 
     def keep_time(self) -> None:
-        """Correct the origin after a break in the sound; to be called only while nothing sounds."""
+        """Let the origin follow the sink's clock, or a break in the sound; to be called only while nothing sounds."""
         origin_s = self.origin.estimate_s(time.monotonic())
-        if origin_s is not None and abs(origin_s - self.origin_s) > _SLIP_S:
+        if origin_s is None or abs(origin_s - self.origin_s) < _STEP_S:
+            return
+        if abs(origin_s - self.origin_s) > _SLIP_S:
             self.slips_s.append(origin_s - self.origin_s)
-            self.origin_s = origin_s
+        self.origin_s = origin_s
 
     def close(self) -> None:
         """End the sound."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import tempfile
 import time
@@ -102,9 +103,13 @@ class PulseServer:
         self.daemon.kill()
         self.daemon.wait(timeout=20)
 
-    def suspend(self, *, on: bool = True) -> None:
-        """Let the device fall silent without an error, as an unplugged interface may; or let it go on."""
-        self.control("suspend-source", self.source, str(int(on)))
+    def freeze(self) -> None:
+        """Let the device fall silent without an error, as an unplugged interface may, until `thaw`."""
+        self.daemon.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Let a frozen device go on."""
+        self.daemon.send_signal(signal.SIGCONT)
 
 
 @contextmanager
