@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.checks import EmissionCheck, check_emission
+from acquire.checks import EmissionCheck, check_emission, find_onset
 from acquire.doctor.listening import AFTER_S, Sounds
 from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]
-_BEFORE_S = 0.1
+_BEFORE_S, _EARLY_S = 0.1, 0.05
 _SILENCE = 1e-15  # of power: -150 dB
 _LOWEST_HZ = 100.0
 
@@ -53,15 +53,15 @@ class Hearing:
 
 def measure(sounds: Sounds, description: RigDescription) -> Hearing:
     """Measure what was heard of each buzzer, wherever the latency of the audio path has put it."""
-    latency_s = _latency_s([_check(sounds, start, 0.0, description) for start in sounds.starts])
+    latency_s = _latency_s(sounds, description)
     checks = [_check(sounds, start, latency_s, description) for start in sounds.starts]
-    n_channels, rate_hz = sounds.samples.shape[1], description.audio.sample_rate_hz
+    channels, rate_hz = description.audio.microphone_channels(), description.audio.sample_rate_hz
     quiet = sounds.samples[: sounds.quiet_end]
-    table = np.empty((n_channels, 0))
+    table = np.empty((len(channels), 0))
     onsets_s = np.column_stack([table, *(check.onset_s + latency_s for check in checks)])
     snrs = [_snr_db(sounds, start + latency_s * rate_hz, description) for start in sounds.starts]
     return Hearing(
-        description.audio.recorded_channels()[:n_channels],
+        channels,
         tuple(buzzer.id for buzzer in description.board.buzzers)[: len(checks)],
         np.column_stack([table, *(check.level_dbfs for check in checks)]),
         np.where(np.isfinite(onsets_s), np.column_stack([table, *snrs]), np.nan),
@@ -72,10 +72,15 @@ def measure(sounds: Sounds, description: RigDescription) -> Hearing:
     )
 
 
-def _latency_s(checks: list[EmissionCheck]) -> float:
-    """Return how much later than the clocks say sounds are heard, 0 where none is."""
-    onsets_s = np.concatenate([check.onset_s for check in checks]) if checks else np.empty(0)
-    return float(np.nanmedian(onsets_s)) if np.isfinite(onsets_s).any() else 0.0
+def _latency_s(sounds: Sounds, description: RigDescription) -> float:
+    """Return how much later than the clocks say emissions are heard (their median), 0 where none is."""
+    rate_hz, waveform = description.audio.sample_rate_hz, description.signal.waveform()
+    found_s = []
+    for start in sounds.starts:
+        first, end = (max(round(start + at_s * rate_hz), 0) for at_s in (-_EARLY_S, waveform.duration_s + AFTER_S))
+        onset = find_onset(sounds.samples[first:end], waveform, rate_hz)
+        found_s += [] if onset is None else [(first + onset - start) / rate_hz]
+    return float(np.median(found_s)) if found_s else 0.0
 
 
 def _check(sounds: Sounds, start: float, latency_s: float, description: RigDescription) -> EmissionCheck:

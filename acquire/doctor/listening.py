@@ -26,6 +26,9 @@ class Sounds:
     Parameters
     ----------
     samples : (n_samples, n_channels) float32 array
+        Of the microphones.
+    sync : (n_samples, 0 or 1) float32 array
+        Of the channel that is wired to the trigger board's sync output.
     quiet_end : int
         Before this row nothing sounded.
     starts : tuple of float
@@ -43,6 +46,7 @@ class Sounds:
     """
 
     samples: NDArray[np.float32]
+    sync: NDArray[np.float32]
     quiet_end: int
     starts: tuple[float, ...]
     fit: ClockFit
@@ -100,9 +104,12 @@ class Listening:
         rows = [self._sample_clock.sample_at(start_s) for start_s in starts_s]
         fit = self._sample_clock.longest_fit()
         assert fit is not None  # the device delivered when it was opened
+        recorded = np.concatenate(self._blocks)[began:]
+        n_mics = len(self._description.audio.microphone_channels())
         (first, first_s), (last, last_s) = self._stamps[0], self._stamps[-1]
         return Sounds(
-            np.concatenate(self._blocks)[began:],
+            recorded[:, :n_mics],
+            recorded[:, n_mics:],
             quiet_end - began,
             tuple(row - began for row in rows if row is not None),
             fit,

@@ -12,6 +12,7 @@ from acquire.doctor.row import Part, Row, State
 
 _GROSS_SHARE, _STAMP_S = 0.002, 0.05  # a rate that is another one; how far two stamps may be off
 _OFF_PPM = 200.0  # no crystal is further off
+_SYNC_SWING = 0.02  # of full scale
 _LONG_S, _UNSTEADY_S = 0.3, 0.005
 
 
@@ -26,6 +27,8 @@ def judge_timing(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
             losses=sounds.n_losses,
         )
     yield _rate(sounds, hearing.sample_rate_hz)
+    if sounds.sync.size and sounds.starts:
+        yield _sync(sounds)
     if np.isfinite(hearing.onset_s).any():
         yield _latency(hearing)
 
@@ -56,6 +59,16 @@ def _latency(hearing: Hearing) -> Row:
         remedy = "close other programs; if it stays, choose the sound device itself, not a sound server"
         return _row("latency", State.LOOK, finding, remedy, **figures)
     return _row("latency", State.OK, finding, "", **figures)
+
+
+def _sync(sounds: Sounds) -> Row:
+    """Tell whether the board's sync output arrives: it moves far when a buzzer sounds, and not at all before."""
+    before, after = (float(np.ptp(part)) for part in (sounds.sync[: sounds.quiet_end], sounds.sync[sounds.quiet_end :]))
+    figures = {"quiet": before, "swing": after}
+    if after > max(_SYNC_SWING, 10 * before):
+        return _row("sync output", State.OK, f"arrives, with a swing of {after:.2f} of full scale", "", **figures)
+    finding = f"does not arrive: a swing of {after:.3f} of full scale, {before:.3f} in the quiet"
+    return _row("sync output", State.LOOK, finding, "check its wire and audio.sync_channel", **figures)
 
 
 def _row(subject: str, state: State, finding: str, remedy: str = "", **figures: float) -> Row:
