@@ -21,8 +21,10 @@ from acquire.errors import DeviceError
 from rigs.description import RigDescription
 from rigs.geometry import Pose
 
+Finding = Row | Hearing | str
 
-def check_up(description: RigDescription, folder: Path, *, seed: int | None = None) -> Iterator[Row | Hearing]:
+
+def check_up(description: RigDescription, folder: Path, *, seed: int | None = None) -> Iterator[Finding]:
     """Look at everything that a session needs, and say how each is as soon as it is known.
 
     Whatever fails, the rest is still looked at.
@@ -37,8 +39,8 @@ def check_up(description: RigDescription, folder: Path, *, seed: int | None = No
 
     Yields
     ------
-    Row or Hearing
-        The hearing after the rows that judge it.
+    Row, Hearing or str
+        The hearing after the rows that judge it; in words, what is done next and takes a while.
 
     Raises
     ------
@@ -47,16 +49,19 @@ def check_up(description: RigDescription, folder: Path, *, seed: int | None = No
     """
     with ExitStack() as stack:
         devices = Devices(choose_devices(description, seed=seed), stack)
+        yield "opening the devices"
         yield from devices.open_each()
         pose = yield from _see(devices, description)
         yield from _hear(devices, description, pose)
+    yield "looking at the computer"
     yield from judge_computer(folder, description)
 
 
-def _see(devices: Devices, description: RigDescription) -> Generator[Row, None, Pose | None]:
+def _see(devices: Devices, description: RigDescription) -> Generator[Row | str, None, Pose | None]:
     """Judge the picture, and return where the board is."""
     if devices.camera is None:
         return None
+    yield "looking for the board"
     try:
         view = look(devices.camera, devices.clock, description)
     except DeviceError as error:
@@ -66,9 +71,10 @@ def _see(devices: Devices, description: RigDescription) -> Generator[Row, None, 
     return board_pose(view, description)[0]
 
 
-def _hear(devices: Devices, description: RigDescription, board_to_camera: Pose | None) -> Iterator[Row | Hearing]:
+def _hear(devices: Devices, description: RigDescription, board_to_camera: Pose | None) -> Iterator[Finding]:
     if devices.audio is None:
         return
+    yield "listening to every buzzer; please keep quiet"
     try:
         sounds = Listening(devices, description).hear(devices.trigger)
     except DeviceError as error:

@@ -61,7 +61,7 @@ def _time_to_write(folder: Path) -> float:
 
 
 def _ports() -> Iterator[Row]:
-    closed = [port.path for port in serial_ports() if not os.access(port.path, os.R_OK | os.W_OK)]
+    closed = [port.path for port in serial_ports() if port.usb_id and not os.access(port.path, os.R_OK | os.W_OK)]
     if closed:
         remedy = "run `sudo usermod -a -G dialout $USER`, then log out and in again"
         yield _row("permission", State.LOOK, f"none for {', '.join(closed)}", remedy)

@@ -13,7 +13,8 @@ from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]
 _BEFORE_S, _EARLY_S = 0.1, 0.05
-_SILENCE = 1e-15  # of power: -150 dB
+_SILENCE = 1e-15  # of power
+SILENCE_DBFS = -149.0  # digital silence is below
 _LOWEST_HZ = 100.0
 
 

@@ -19,7 +19,7 @@ from rigs.geometry import Pose
 FloatArray = NDArray[np.float64]
 _LOOK_S = 3.0
 _GUESSED_FOCAL = 0.85  # of the picture's width: a view of 61 degrees; webcams have 55 to 75
-_SMALL_SQUARE_PX, _FAR_TILT_DEG = 12.0, 50.0
+_SMALL_SQUARE_PX, _FAR_TILT_DEG = 9.0, 50.0
 _BLACK, _SATURATED = 3, 252  # of 255
 _SATURATED_SHARE = (0.01, 0.10)  # look, bad
 _BLACK_SHARE = (0.10, 0.35)

@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from acquire.doctor.hearing import Hearing
+from acquire.doctor.checkup import Finding
+from acquire.doctor.hearing import SILENCE_DBFS, Hearing
 from acquire.doctor.row import Part, Row, State, exit_code
 from rigs.library import FoundDescription
 
@@ -21,7 +22,7 @@ _STYLES = {State.OK: "green", State.LOOK: "yellow", State.BAD: "bold red"}
 _SUBJECT_WIDTH = 15
 _NAMED = 4  # buzzers whose columns have room for the whole word
 _QUIET_SNR_DB, _NO_SNR_DB = 15.0, 3.0
-_LEGEND = "\n       level in dBFS / signal over noise in dB, of each buzzer (bz) at each channel"
+_LEGEND = "\n       level in dBFS / signal over noise in dB, by channel and buzzer (bz)"
 _ENDS = {
     State.OK: "everything is ready: rig-capture --session NAME",
     State.LOOK: "ready, but look at {look} of {n}: rig-capture --session NAME",
@@ -42,10 +43,17 @@ class LiveTable:
         self._console = console
         self._rows: list[Row] = []
         self._part: Part | None = None
+        self._step = console.status("")
         console.print(f"rig {found.description.name}, from {found.where}", soft_wrap=True, markup=False)
 
-    def add(self, finding: Row | Hearing) -> None:
-        """Print a row, or the table of what each channel heard."""
+    def add(self, finding: Finding) -> None:
+        """Print a row, or the table of what each channel heard; show a step for as long as it takes."""
+        if isinstance(finding, str):
+            if self._console.is_terminal:
+                self._step.update(f"[dim]{finding} ...")
+                self._step.start()
+            return
+        self._step.stop()
         if isinstance(finding, Hearing):
             if finding.buzzers:
                 self._console.print(Text(_LEGEND, style="dim"), soft_wrap=True)
@@ -62,6 +70,7 @@ class LiveTable:
 
     def end(self) -> int:
         """Print the sum of it all and return the exit code."""
+        self._step.stop()
         counts = Counter(row.state for row in self._rows)
         worst = max(counts, key=list(State).index)
         text = _ENDS[worst].format(n=len(self._rows), look=counts[State.LOOK], bad=counts[State.BAD])
@@ -82,11 +91,11 @@ class JsonTable:
         self._rows: list[Row] = []
         self._hearing: Hearing | None = None
 
-    def add(self, finding: Row | Hearing) -> None:
+    def add(self, finding: Finding) -> None:
         """Keep a row, or the table of what each channel heard."""
         if isinstance(finding, Hearing):
             self._hearing = finding
-        else:
+        elif isinstance(finding, Row):
             self._rows.append(finding)
 
     def end(self) -> int:
@@ -114,7 +123,8 @@ def hearing_table(hearing: Hearing) -> Table:
         )
     for column, channel in enumerate(hearing.channels):
         cells = [_cell(hearing, column, k) for k in range(len(hearing.buzzers))]
-        table.add_row(str(channel), f"{hearing.noise_dbfs[column]:.0f}", *cells)
+        noise_dbfs = hearing.noise_dbfs[column]
+        table.add_row(str(channel), f"{noise_dbfs:.0f}" if noise_dbfs > SILENCE_DBFS else "none", *cells)
     return table
 
 
