@@ -21,6 +21,11 @@ from acquire.doctor.row import Part, Row, State, exit_code, refusal
 from acquire.errors import DeviceError
 from rigs.command import run
 
+SIX_BUZZERS = [
+    {"id": 1 + 3 * row + column, "position_m": (-0.045 + 0.145 * column, -0.045 + 0.215 * row, -0.005)}
+    for row in range(2)
+    for column in range(3)
+]
 MEASURED = {Part.DEVICES, Part.PICTURE, Part.SOUND}  # the computer is busy with other tests
 
 
@@ -92,16 +97,17 @@ def test_a_missing_device_does_not_hide_the_others(tmp_path, kind):
 
 
 def test_swapped_channels_are_named_where_places_are_expected(tmp_path):
+    board = {"buzzers": SIX_BUZZERS}  # of two buzzers some pairs of microphones are equally far
     truth_m = choose_devices(small_description(), seed=0).truth.microphones_m
     roughly_m = truth_m + 0.02 * np.random.default_rng(0).standard_normal(truth_m.shape)
     audio = {"expected_positions_m": [tuple(place) for place in roughly_m.round(3).tolist()]}
-    rows, _ = checked(tmp_path, small_description(audio=audio))
+    rows, _ = checked(tmp_path, small_description(audio=audio, board=board))
     assert next(row.state for row in rows if row.subject == "order") is State.OK
     fault = {"faults": [{"kind": "swapped_channel", "channel": 5}]}
-    rows, _ = checked(tmp_path, small_description(audio=audio, simulation=fault))
+    rows, _ = checked(tmp_path, small_description(audio=audio, board=board, simulation=fault))
     assert faults(rows) == {("order", "bad")}
     assert "channels 5, 6 hear as if swapped" in next(row.finding for row in rows if row.subject == "order")
-    rows, _ = checked(tmp_path, small_description(simulation=fault))
+    rows, _ = checked(tmp_path, small_description(board=board, simulation=fault))
     assert faults(rows) == set()  # any order is the right one for some array
 
 
@@ -217,8 +223,8 @@ def test_the_command_prints_one_line_a_row_into_a_pipe(tmp_path, monkeypatch, ca
     assert lines[0] == "rig test, from rig.yaml"
     assert [line for line in lines if line.startswith("  bad")] == [
         (
-            "  bad  channel 3       dead: it delivers one constant value; do: check its cable, power and mute switch, and "
-            "that audio.channels names an input that is there"
+            "  bad  channel 3       dead: it delivers one constant value; do: check its cable, power and mute switch, "
+            "and that audio.channels names an input that is there"
         )
     ]
     assert lines[-1].startswith("not ready: mend 1 of ")

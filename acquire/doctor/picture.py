@@ -24,7 +24,7 @@ _BLACK, _SATURATED = 3, 252  # of 255
 _SATURATED_SHARE = (0.01, 0.10)  # look, bad
 _BLACK_SHARE = (0.10, 0.35)
 _CONTRAST = (60.0, 25.0)
-_EDGE_PX = (3.5, 6.0)
+_EDGE_PX, _EDGE_SHARE = (3.5, 6.0), (0.3, 0.4)  # of a square
 _SMEAR = 1.6  # edges of one direction are so much wider than those of the other
 
 
@@ -154,13 +154,15 @@ def _focus(view: View, description: RigDescription, corners_px: FloatArray) -> R
     width_px, wider = float(np.nanmean([along_rows_px, along_columns_px])), max(along_rows_px, along_columns_px)
     figures = {"edge_width_px": width_px, "row_edge_px": along_rows_px, "column_edge_px": along_columns_px}
     finding = f"the board's edges are {width_px:.1f} px wide (10 to 90 %)"
-    if not wider > _EDGE_PX[0]:
+    square_px = _square_px(corners_px, description.board.corners)
+    soft, blurred = (wider > min(px, share * square_px) for px, share in zip(_EDGE_PX, _EDGE_SHARE, strict=True))
+    if not soft:
         return Row(Part.PICTURE, "focus", State.OK, finding, figures=figures)
     smeared = wider > _SMEAR * min(along_rows_px, along_columns_px)
     if smeared:
         finding += ", more so in one direction"
     remedy = "hold the board still; a shorter exposure" if smeared else "set the focus on the board, then lock it"
-    return Row(Part.PICTURE, "focus", State.BAD if wider > _EDGE_PX[1] else State.LOOK, finding, remedy, figures)
+    return Row(Part.PICTURE, "focus", State.BAD if blurred else State.LOOK, finding, remedy, figures)
 
 
 def _square_px(corners_px: FloatArray, corners: tuple[int, int]) -> float:
