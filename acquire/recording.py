@@ -16,6 +16,7 @@ from acquire.disk import DiskSpace
 from acquire.errors import DeviceError, DeviceLostError, InterruptedCaptureError
 from acquire.screen import Screen
 from acquire.status import Message, Status
+from acquire.stillness import SpreadFrames
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.writer import SessionWriter
@@ -67,8 +68,9 @@ class Recording:
         now_s = rig.clock.now_s()
         self._start_s = self._flushed_s = now_s
         self._heard_s, self._mute_s = now_s, _FIRST_BLOCK_S
-        self._frame_s = self._seen_s = self._complained_s = float("-inf")
+        self._frame_due_s = self._seen_s = self._complained_s = float("-inf")
         self._is_gap = self._is_excused = False
+        self.kept: SpreadFrames | None = None  # where somebody wants to look at some of the frames again
 
     def say(self, level: str, text: str) -> None:
         """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
@@ -126,8 +128,11 @@ class Recording:
         return frame
 
     def keep(self, frame: Frame, pose: int) -> None:
-        """Store a frame."""
-        self._frame_s = frame.host_time_s
+        """Store a frame; the next is due an interval after this one was, so that waiting for it does not add up."""
+        interval_s = self._frame_interval_s
+        self._frame_due_s = max(self._frame_due_s, frame.host_time_s - interval_s / 2) + interval_s
+        if self.kept is not None:
+            self.kept.add(frame)
         self.writer.append_frame(frame.image, host_time_s=frame.host_time_s, pose=pose)
 
     def record(self, duration_s: float, pose: int | None = None) -> None:
@@ -137,10 +142,11 @@ class Recording:
         """
         end_s = self.rig.clock.now_s() + duration_s
         while (left_s := end_s - self.rig.clock.now_s()) > 1e-6:
-            if pose is not None and self.rig.clock.now_s() - self._frame_s >= self._frame_interval_s:
+            due_in_s = self._frame_due_s - self.rig.clock.now_s() if pose is not None else left_s
+            if pose is not None and due_in_s <= 1e-6:
                 self.keep(self.look(), pose)
             else:
-                self.rig.clock.sleep_s(min(STEP_S, left_s))
+                self.rig.clock.sleep_s(min(STEP_S, left_s, due_in_s))
                 self.listen()
 
     def record_until(self, sample: int, pose: int) -> None:
