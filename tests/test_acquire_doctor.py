@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 
-import cv2
 import numpy as np
 import pytest
 import yaml
@@ -15,7 +14,6 @@ from simboard import running_board
 from acquire.devices.choose import choose_devices
 from acquire.doctor.checkup import check_up
 from acquire.doctor.cli import cli
-from acquire.doctor.edges import edge_widths_px
 from acquire.doctor.hearing import Hearing
 from acquire.doctor.row import Part, Row, State, exit_code, refusal
 from acquire.errors import DeviceError
@@ -181,18 +179,6 @@ def test_a_session_that_does_not_fit_on_the_disk(tmp_path, monkeypatch):
     monkeypatch.setattr("acquire.doctor.computer.session_bytes", lambda _: 1e18)
     rows = [finding for finding in check_up(small_description(), tmp_path) if isinstance(finding, Row)]
     assert next(row.state for row in rows if row.subject == "disk") is State.BAD
-
-
-@pytest.mark.parametrize("sigma_px", [0.8, 1.5, 2.5])
-def test_the_width_of_edges_follows_the_blur(sigma_px):
-    square = 40
-    pattern = np.kron(np.indices((8, 11)).sum(axis=0) % 2, np.ones((square, square)))
-    image = cv2.GaussianBlur(40 + 160 * pattern, (0, 0), sigma_px).astype(np.uint8)
-    columns, rows = np.meshgrid(np.arange(1, 10), np.arange(1, 7))
-    corners_px = np.column_stack([columns.ravel(), rows.ravel()]) * square - 0.5
-    widths_px = edge_widths_px(image, corners_px, (9, 6))
-    seen_px = np.sqrt(sigma_px**2 + 1 / 6)  # interpolation between pixels blurs too: a triangle of variance 1/6
-    assert widths_px == pytest.approx((2.563 * seen_px,) * 2, rel=0.05)  # 10 to 90 % of a Gaussian's integral
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.devices.base import Camera, Clock
-from acquire.doctor.edges import edge_widths_px
 from acquire.doctor.row import Part, Row, State
+from acquire.sharpness import edge_blur_px
 from rigs.board import board_corners_m, estimate_pose, find_corners, movement_px
 from rigs.description import Intrinsics, RigDescription
 from rigs.geometry import Pose
@@ -24,8 +24,7 @@ _BLACK, _SATURATED = 3, 252  # of 255
 _SATURATED_SHARE = (0.01, 0.10)  # look, bad
 _BLACK_SHARE = (0.10, 0.35)
 _CONTRAST = (60.0, 25.0)
-_EDGE_PX, _EDGE_SHARE = (3.5, 6.0), (0.3, 0.4)  # of a square
-_SMEAR = 1.6  # edges of one direction are so much wider than those of the other
+_BLUR_OF_SQUARE, _SOFT = 0.16, 0.7  # blurrier edges run into one another; of what is bad
 
 
 @dataclass(frozen=True)
@@ -150,19 +149,14 @@ def _exposure(view: View, description: RigDescription, corners_px: FloatArray) -
 
 
 def _focus(view: View, description: RigDescription, corners_px: FloatArray) -> Row:
-    along_rows_px, along_columns_px = edge_widths_px(view.gray, corners_px, description.board.corners)
-    width_px, wider = float(np.nanmean([along_rows_px, along_columns_px])), max(along_rows_px, along_columns_px)
-    figures = {"edge_width_px": width_px, "row_edge_px": along_rows_px, "column_edge_px": along_columns_px}
-    finding = f"the board's edges are {width_px:.1f} px wide (10 to 90 %)"
-    square_px = _square_px(corners_px, description.board.corners)
-    soft, blurred = (wider > min(px, share * square_px) for px, share in zip(_EDGE_PX, _EDGE_SHARE, strict=True))
-    if not soft:
+    blur_px, limit_px = edge_blur_px(view.gray, corners_px, description.board), description.capture.max_blur_px
+    figures = {"blur_px": blur_px, "max_blur_px": limit_px}
+    finding = f"the board's edges are blurred by {blur_px:.1f} px (standard deviation), capture takes {limit_px:g}"
+    most_px = min(limit_px, _BLUR_OF_SQUARE * _square_px(corners_px, description.board.corners))
+    if blur_px <= _SOFT * most_px:
         return Row(Part.PICTURE, "focus", State.OK, finding, figures=figures)
-    smeared = wider > _SMEAR * min(along_rows_px, along_columns_px)
-    if smeared:
-        finding += ", more so in one direction"
-    remedy = "hold the board still; a shorter exposure" if smeared else "set the focus on the board, then lock it"
-    return Row(Part.PICTURE, "focus", State.BAD if blurred else State.LOOK, finding, remedy, figures)
+    remedy = "set the focus on the board, then lock it; hold the board still"
+    return Row(Part.PICTURE, "focus", State.BAD if blur_px > most_px else State.LOOK, finding, remedy, figures)
 
 
 def _square_px(corners_px: FloatArray, corners: tuple[int, int]) -> float:
