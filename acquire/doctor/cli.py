@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import click
@@ -33,9 +34,10 @@ def cli(rig: str | None, seed: int | None, as_json: bool) -> int:
 
     found = find_description(rig)
     table = JsonTable(found) if as_json else LiveTable(found, Console(highlight=False))
-    for finding in check_up(found.description, Path.cwd(), seed=seed):
-        table.add(finding)
-    return table.end()
+    with closing(table):
+        for finding in check_up(found.description, Path.cwd(), seed=seed):
+            table.add(finding)
+        return table.end()
 
 
 def main() -> None:

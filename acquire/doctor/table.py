@@ -68,9 +68,13 @@ class LiveTable:
         else:  # one row, one line, for grep
             self._console.print(_plain_line(finding), soft_wrap=True, markup=False)
 
+    def close(self) -> None:
+        """Give the terminal its cursor back, whatever has happened."""
+        self._step.stop()
+
     def end(self) -> int:
         """Print the sum of it all and return the exit code."""
-        self._step.stop()
+        self.close()
         counts = Counter(row.state for row in self._rows)
         worst = max(counts, key=list(State).index)
         text = _ENDS[worst].format(n=len(self._rows), look=counts[State.LOOK], bad=counts[State.BAD])
@@ -97,6 +101,9 @@ class JsonTable:
             self._hearing = finding
         elif isinstance(finding, Row):
             self._rows.append(finding)
+
+    def close(self) -> None:
+        """Do nothing: what is not whole is not printed."""
 
     def end(self) -> int:
         """Print it all and return the exit code."""
