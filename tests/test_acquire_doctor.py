@@ -244,3 +244,17 @@ def test_help_imports_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.stderr.strip() == ""
     assert "Exit code: 0 nothing bad" in done.stdout
+
+
+def test_the_exit_code_is_that_of_what_has_to_be_mended_first():
+    bad = [Row(Part.DEVICES, "x", State.BAD, "broken", "mend it", exit_code=code) for code in (5, 4, 3)]
+    looked_at = Row(Part.SOUND, "x", State.LOOK, "so so", "look")
+    assert exit_code([looked_at]) == 0
+    assert [exit_code([looked_at, *bad[:n]]) for n in (1, 2, 3)] == [5, 4, 3]
+
+
+def test_signal_to_noise_ratio_and_level_follow_the_room(tmp_path):
+    quiet, loud = (checked(tmp_path, small_description(simulation={"snr_db": snr_db}))[1] for snr_db in (40, 20))
+    assert quiet.snr_db - loud.snr_db == pytest.approx(20, abs=1.5)  # the noise is drawn anew
+    assert loud.noise_dbfs - quiet.noise_dbfs == pytest.approx(20, abs=0.2)
+    assert quiet.level_dbfs == pytest.approx(loud.level_dbfs, abs=0.2)
