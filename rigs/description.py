@@ -54,6 +54,9 @@ class Audio(Section):
         min_length=4, max_length=64, description="input channel of each microphone, counted from 1, microphone 1 first"
     )
     reference_microphone: ReferenceMicrophone | None = None
+    expected_positions_m: tuple[Position, ...] | None = Field(
+        None, description="about where each microphone is, in the camera frame: lets rig-check name swapped channels"
+    )
     sync_channel: Channel | None = Field(
         None, description="input channel, counted from 1, that is wired to the trigger board's sync output"
     )
@@ -66,6 +69,9 @@ class Audio(Section):
             raise ValueError(
                 f"channel {twice[0]} is listed twice: every microphone, and the sync output, needs a channel of its own"
             )
+        expected = self.expected_positions_m
+        if expected is not None and len(expected) != len(self.channels):
+            raise ValueError(f"expected_positions_m has {len(expected)} places, give one for each of audio.channels")
         if self.driver == "portaudio" and self.device is None:
             raise ValueError("driver portaudio needs a device: add 'device: {name: ...}'")
         return self
@@ -344,15 +350,19 @@ class Fault(Section):
     kind: Literal[
         "dead_channel", "silent_buzzer", "loud_channel", "audio_overflow", "board_moves", "trigger_lost", "audio_lost",
         "camera_lost", "trigger_reset", "camera_frozen", "clock_jump",
+        "weak_channel", "noisy_channel", "humming_channel", "inverted_channel", "duplicate_channel", "swapped_channel",
+        "blurred", "overexposed",
     ]  # fmt: skip
-    channel: Channel | None = Field(None, description="dead_channel, loud_channel: which")
+    channel: Channel | None = Field(
+        None, description="faults of a channel: which (and the next one, where it takes two)"
+    )
     buzzer: int | None = Field(None, ge=1, le=255, description="silent_buzzer: which")
     pose: int = Field(0, ge=0, description="the first pose (counted from 0) at which it happens")
     duration_s: float | None = Field(None, gt=0, description="trigger_lost, audio_lost, camera_lost: for how long")
 
     @model_validator(mode="after")
     def _names_what_it_hits(self) -> Fault:
-        if self.kind in ("dead_channel", "loud_channel") and self.channel is None:
+        if self.kind.endswith("_channel") and self.channel is None:
             raise ValueError(f"fault {self.kind} needs a channel: add 'channel: 3'")
         if self.kind == "silent_buzzer" and self.buzzer is None:
             raise ValueError("fault silent_buzzer needs a buzzer: add 'buzzer: 2'")

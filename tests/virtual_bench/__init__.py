@@ -1,1 +1,1 @@
-"""The virtual bench: real device stacks without hardware, started and stopped by the tests."""
+"""The real stacks without the hardware: sound servers, pictures and boards that the tests start and stop themselves."""

@@ -24,12 +24,14 @@ class MjpegServer(ThreadingHTTPServer):
         Takes the host monotonic time (s) of the picture and returns its JPEG bytes. Called by several threads where
         there are several clients.
     fps : float
+    port : int
+        0: any that is free.
     """
 
     daemon_threads = False  # they end when the server does, and are waited for
 
-    def __init__(self, next_jpeg: Callable[[float], bytes], fps: float) -> None:
-        super().__init__(("127.0.0.1", 0), _Stream)
+    def __init__(self, next_jpeg: Callable[[float], bytes], fps: float, port: int = 0) -> None:
+        super().__init__(("127.0.0.1", port), _Stream)
         self.next_jpeg, self.fps = next_jpeg, fps
         self.url = f"http://127.0.0.1:{self.server_port}/stream.mjpeg"
         self.sent_s: list[float] = []  # when each picture began to be sent
@@ -98,9 +100,9 @@ class _Stream(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def mjpeg_server(next_jpeg: Callable[[float], bytes], fps: float = 30.0) -> Iterator[MjpegServer]:
+def mjpeg_server(next_jpeg: Callable[[float], bytes], fps: float = 30.0, port: int = 0) -> Iterator[MjpegServer]:
     """Serve pictures at `server.url` until the block ends."""
-    with MjpegServer(next_jpeg, fps) as server:
+    with MjpegServer(next_jpeg, fps, port) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
         thread.start()
         try:

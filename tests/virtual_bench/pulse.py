@@ -79,15 +79,19 @@ class PulseServer:
         """
         if latency_ms is None:
             latency_ms = 1000 if isinstance(sound, np.ndarray) else 50
-        command = ["pacat", "--playback", "--raw", "--format=float32le", f"--device={self.sink}"]
-        command += [f"--rate={self.rate_hz}", f"--channels={self.channels}", f"--channel-map={_map(self.channels)}"]
-        command += ["--no-remix", "--no-remap", f"--latency-msec={latency_ms}"]
+        command = self.pacat_command(latency_ms)
         pacat = subprocess.Popen(command, stdin=subprocess.PIPE, env=self.environment)
         blocks = [sound] if isinstance(sound, np.ndarray) else sound
         playing = Playing(pacat, Thread(target=_feed, args=(pacat, blocks), daemon=True))
         playing.feeder.start()
         self.sounds.append(playing)
         return playing
+
+    def pacat_command(self, latency_ms: int, *options: str) -> list[str]:
+        """Return the command that plays to the sink what comes in as float32 samples."""
+        command = ["pacat", "--playback", "--raw", "--format=float32le", f"--device={self.sink}"]
+        command += [f"--rate={self.rate_hz}", f"--channels={self.channels}", f"--channel-map={_map(self.channels)}"]
+        return [*command, "--no-remix", "--no-remap", f"--latency-msec={latency_ms}", *options]
 
     def control(self, *words: str) -> str:
         """Run `pactl` and return what it says; it fails when the server is gone."""

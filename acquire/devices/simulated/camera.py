@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import Frame
 from acquire.devices.simulated.draws import draws
+from acquire.devices.simulated.flaws import flawed_picture
 from acquire.devices.simulated.picture import Painter
 from acquire.devices.simulated.stage import Stage
 from acquire.errors import DeviceError
@@ -82,7 +83,10 @@ class SimulatedCamera:
         """Paint the picture, or take the last one while the board stands still."""
         moving, pose = self._stage.is_moving(time_s), self._stage.board_to_camera(time_s)
         if moving:
-            return self._painter.picture(pose, moving=True)
+            return self._picture(pose, moving=True)
         if self._painted is None or self._painted[0] is not pose:
-            self._painted = (pose, self._painter.picture(pose, moving=False))
+            self._painted = (pose, self._picture(pose, moving=False))
         return self._painted[1]
+
+    def _picture(self, pose: Pose, *, moving: bool) -> NDArray[np.float32]:
+        return flawed_picture(self._painter.picture(pose, moving=moving), self._stage)

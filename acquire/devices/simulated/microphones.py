@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import AudioBlock
 from acquire.devices.simulated.draws import draws
+from acquire.devices.simulated.flaws import flawed_sound
 from acquire.devices.simulated.oscillator import Oscillator
 from acquire.devices.simulated.sound import SoundField
 from acquire.devices.simulated.stage import Stage
@@ -102,7 +103,8 @@ class SimulatedMicrophones:
             low, high = max(first, start), min(first + BLOCK_SAMPLES, start + len(sound))
             if low < high:
                 block[low - first : high - first] += sound[low - start : high - start]
-        return np.clip(block * self._channel_gain(), -1.0, 1.0).astype(np.float32)
+        block = flawed_sound(block * self._channel_gain(), first, self._stage, rng)
+        return np.asarray(np.clip(block, -1.0, 1.0), dtype=np.float32)
 
     def _channel_gain(self) -> NDArray[np.float64]:
         gain = self._gain.copy()

@@ -1,0 +1,50 @@
+"""`python -m virtual_bench`: run the bench until Ctrl-C, and say how to capture a session at it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+from contextlib import suppress
+from pathlib import Path
+
+from rigs.library import find_description
+from virtual_bench.bench import ENVIRONMENT_FILE, RIG_FILE, virtual_bench
+
+_NICENESS = -10
+
+
+def main() -> None:
+    """Run the bench."""
+    parser = argparse.ArgumentParser(prog="virtual_bench", description="A bench without hardware; Ctrl-C ends it.")
+    parser.add_argument("--folder", type=Path, default=Path("virtual-bench"), help="where its files go")
+    parser.add_argument("--rig", default="virtual", help="a rig description with drivers serial, portaudio, opencv")
+    parser.add_argument("--seed", type=int, help="another array, room and board places")
+    parser.add_argument("--port", type=int, default=0, help="of the camera's address; 0: any that is free")
+    options = parser.parse_args()
+    folder = options.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    description = find_description(options.rig).description
+    seed = description.simulation.seed if options.seed is None else options.seed
+    with suppress(PermissionError):  # it stands for hardware, which a busy computer does not slow down
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with virtual_bench(description, folder, seed=seed, port=options.port) as bench:
+            _say(folder)
+            bench.run_for(float("inf"))
+    except KeyboardInterrupt:
+        print("the bench has ended", flush=True)  # noqa: T201
+
+
+def _say(folder: Path) -> None:
+    print(  # noqa: T201
+        "the bench runs; Ctrl-C ends it. In another terminal:\n"
+        f"  . {folder / ENVIRONMENT_FILE}\n"
+        f"  rig-capture --session s1 --rig {folder / RIG_FILE}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()
