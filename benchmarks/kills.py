@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from crash_images import Image, logged_session, power_losses  # noqa: E402
-from kills import kills  # noqa: E402
+from killed_captures import kills  # noqa: E402
 
 from rigs.errors import SessionError  # noqa: E402
 from rigs.session.reader import Session  # noqa: E402

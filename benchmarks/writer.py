@@ -66,11 +66,11 @@ def main() -> None:
     with TemporaryDirectory(dir=Path.cwd()) as folder:
         path = Path(folder) / "bench.h5"
         written_s, closed_s, cpu_s, growth_mb = write(path)
+        with Session.open(path) as session:
+            assert session.n_samples >= (MINUTES * 60 - 1) * RATE_HZ
         began_s, before_mb = time.perf_counter(), peak_mb()
         recover(path, Path(folder) / "copy.h5")
         recovered_s, recover_mb = time.perf_counter() - began_s, peak_mb() - before_mb
-        with Session.open(path) as session:
-            assert session.n_samples >= (MINUTES * 60 - 1) * RATE_HZ
     sound_s = MINUTES * 60
     table = Table(title=f"writer, {MINUTES} minutes of 8 x 48 kHz, synced every second", title_justify="left")
     for column in ("figure", "limit", "measured"):

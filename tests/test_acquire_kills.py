@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from kills import kills
+from killed_captures import kills
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the shim is preloaded as Linux does it")
