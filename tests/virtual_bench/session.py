@@ -50,7 +50,9 @@ def bench_program(folder: Path, *options: str) -> Iterator[dict[str, str]]:
     """Run `python -m virtual_bench` until the block ends, and give the environment that programs need at it."""
     command = [sys.executable, "-m", "virtual_bench", "--folder", str(folder), *options]
     environment = os.environ | {"PYTHONPATH": str(TESTS)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as program:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True
+    ) as program:
         try:
             assert "the bench runs" in program.stdout.readline(), "the bench did not start"
             lines = (folder / ENVIRONMENT_FILE).read_text().splitlines()
