@@ -29,12 +29,11 @@ def main() -> None:
     seed = description.simulation.seed if options.seed is None else options.seed
     _stand_for_hardware()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with virtual_bench(description, folder, seed=seed, port=options.port) as bench:
-            _say(folder)
-            bench.run_for(float("inf"))
-    except KeyboardInterrupt:
-        print("the bench has ended", flush=True)  # noqa: T201
+    parent = os.getppid()
+    with suppress(KeyboardInterrupt), virtual_bench(description, folder, seed=seed, port=options.port) as bench:
+        _say(folder)
+        while os.getppid() == parent:  # whoever started it may be killed, and could not end it then
+            bench.run_for(1.0)
 
 
 def _stand_for_hardware() -> None:
