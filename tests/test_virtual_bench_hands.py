@@ -113,6 +113,16 @@ def test_a_buzzer_fired_again_keeps_the_board_where_it_is(hands, clock):
     assert hands.step() is not None
 
 
+def test_at_a_new_place_all_buzzers_are_waited_for_again(hands, clock):
+    hear_all(hands, clock)
+    clock.sleep_s(QUIET_S)
+    assert hands.step() is not None
+    clock.sleep_s(1.5)
+    hands.hear(1, clock.now_s())
+    clock.sleep_s(QUIET_S + 0.1)
+    assert hands.step() is None
+
+
 def test_a_silent_buzzer_does_not_hold_the_board_for_ever(hands, clock):
     hands.hear(1, clock.now_s())
     clock.sleep_s(PATIENCE_S - 0.1)
@@ -134,10 +144,11 @@ def test_the_board_is_seen_to_move(hands, clock):
 
 
 def test_each_edge_is_heard_a_steady_time_after_it_was_due(ears, speaker):
-    begun = live(ears, speaker, [*emission(0.5003), *emission(1.2007, buzzer=4)], 2.0)
+    begun = live(ears, speaker, [*emission(0.5003), *emission(1.2007, buzzer=4), *emission(1.7, buzzer=2)], 2.2)
     assert [(each.buzzer, each.on_s, each.late_s, each.lost_samples) for each in begun] == [
         (2, 0.5003, 0.0, 0),
         (4, 1.2007, 0.0, 0),
+        (2, 1.7, 0.0, 0),
     ]
     expected = np.zeros((3 * RATE_HZ, 8))
     for each in begun:
