@@ -98,7 +98,7 @@ def spread_p95_s(offsets_s: NDArray[np.float64]) -> float:
 
 
 def corner_errors_px(session: Session, truth: BenchTruth) -> NDArray[np.float64]:
-    """Return the root mean square error of the corners in the first picture of each accepted pose (n_poses,)."""
+    """Return the root mean square error of the corners in the first and last picture of each accepted pose (n, 2)."""
     document, board = truth.document, session.description.board
     matrix = np.array(document["camera_matrix"])
     intrinsics = Intrinsics(
@@ -109,13 +109,16 @@ def corner_errors_px(session: Session, truth: BenchTruth) -> NDArray[np.float64]
     printed_m = board_corners_m(board) * document["square_size_m"] / board.square_size_m
     errors_px = []
     for row in session.poses[session.poses["accepted"] == 1]:
-        frame = int(np.flatnonzero(session.frames["pose"] == row["pose"])[0])
-        seen_px = find_corners(session.picture(frame), board)
-        place = place_at(truth, row["start_host_time_s"])
-        matrix = np.array(place["board_to_camera"])
+        frames = np.flatnonzero(session.frames["pose"] == row["pose"])
+        matrix = np.array(place_at(truth, row["start_host_time_s"])["board_to_camera"])
         expected_px = project(printed_m, Pose(matrix[:3, :3], matrix[:3, 3]), intrinsics)
-        errors_px.append(np.sqrt(np.mean(np.sum((seen_px - expected_px) ** 2, axis=1))))
+        seen_px = [find_corners(session.picture(int(frame)), board) for frame in (frames[0], frames[-1])]
+        errors_px.append([_rms_px(corners_px - expected_px) for corners_px in seen_px])
     return np.array(errors_px)
+
+
+def _rms_px(errors_px: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors_px**2, axis=1))))
 
 
 def place_at(truth: BenchTruth, host_time_s: float) -> dict:
