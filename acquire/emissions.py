@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acquire.checks import EmissionCheck, check_emission, find_onset
 from acquire.clocks import Prediction
 from acquire.devices.base import EmissionStart
@@ -72,6 +75,7 @@ class Emissions:
         self._waveform = description.signal.waveform()
         self._limits = description.capture
         self._rate_hz = description.audio.sample_rate_hz
+        self._n_microphones = len(description.audio.microphone_channels())
         self._known: ChannelFaults = frozenset()
 
     def fire(self, pose: int, buzzer: int, repeat: int) -> ChannelFaults | None:
@@ -156,7 +160,7 @@ class Emissions:
         first_s, last_s = self._clocks.latency.window_s()
         first_sample = round(prediction.sample) + self._samples(first_s)
         end_sample = round(prediction.sample) + self._samples(last_s + self._waveform.duration_s)
-        first_sample, samples = self._recording.samples(first_sample, end_sample)
+        first_sample, samples = self._heard(first_sample, end_sample)
         onset = find_onset(samples, self._waveform, self._rate_hz)
         return 0.0 if onset is None else (first_sample + onset - prediction.sample) / self._rate_hz
 
@@ -169,9 +173,13 @@ class Emissions:
     def _check(self, expected_sample: int) -> EmissionCheck:
         before = self._samples(self._description.signal.gap_s)
         after = self._samples(self._waveform.duration_s + self._reach_s())
-        first, samples = self._recording.samples(expected_sample - before, expected_sample + after)
-        samples = samples[:, : len(self._description.audio.microphone_channels())]  # the sync output is no microphone
+        first, samples = self._heard(expected_sample - before, expected_sample + after)
         return check_emission(samples, expected_sample - first, self._waveform, self._limits, self._rate_hz)
+
+    def _heard(self, first_sample: int, end_sample: int) -> tuple[int, NDArray[np.float32]]:
+        """Return what the microphones heard, and the row where it begins; the sync output is no microphone."""
+        first_sample, samples = self._recording.samples(first_sample, end_sample)
+        return first_sample, samples[:, : self._n_microphones]
 
     def _store(self, shot: Shot, pose: int, buzzer: int, repeat: int, accepted: bool) -> None:
         self._recording.writer.append_emission(

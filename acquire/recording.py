@@ -16,6 +16,7 @@ from acquire.disk import DiskSpace
 from acquire.errors import DeviceError, DeviceLostError, InterruptedCaptureError
 from acquire.screen import Screen
 from acquire.status import Message, Status
+from acquire.stillness import SpreadFrames
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.writer import SessionWriter
@@ -67,8 +68,9 @@ class Recording:
         now_s = rig.clock.now_s()
         self._start_s = self._flushed_s = now_s
         self._heard_s, self._mute_s = now_s, _FIRST_BLOCK_S
-        self._frame_s = self._seen_s = self._complained_s = float("-inf")
+        self._frame_due_s = self._seen_s = self._complained_s = float("-inf")
         self._is_gap = self._is_excused = False
+        self.kept: SpreadFrames | None = None  # where somebody wants to look at some of the frames again
 
     def say(self, level: str, text: str) -> None:
         """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
@@ -126,8 +128,11 @@ class Recording:
         return frame
 
     def keep(self, frame: Frame, pose: int) -> None:
-        """Store a frame."""
-        self._frame_s = frame.host_time_s
+        """Store a frame; the next is due an interval after this one was, so that waiting for it does not add up."""
+        interval_s = self._frame_interval_s
+        self._frame_due_s = max(self._frame_due_s, frame.host_time_s - interval_s / 2) + interval_s
+        if self.kept is not None:
+            self.kept.add(frame)
         self.writer.append_frame(frame.image, host_time_s=frame.host_time_s, pose=pose)
 
     def record(self, duration_s: float, pose: int | None = None) -> None:
@@ -137,10 +142,11 @@ class Recording:
         """
         end_s = self.rig.clock.now_s() + duration_s
         while (left_s := end_s - self.rig.clock.now_s()) > 1e-6:
-            if pose is not None and self.rig.clock.now_s() - self._frame_s >= self._frame_interval_s:
+            due_in_s = self._frame_due_s - self.rig.clock.now_s() if pose is not None else left_s
+            if pose is not None and due_in_s <= 1e-6:
                 self.keep(self.look(), pose)
             else:
-                self.rig.clock.sleep_s(min(STEP_S, left_s))
+                self.rig.clock.sleep_s(min(STEP_S, left_s, due_in_s))
                 self.listen()
 
     def record_until(self, sample: int, pose: int) -> None:
@@ -169,26 +175,31 @@ class Recording:
         if not len(block.samples):
             return
         first_sample = self.writer.n_samples
-        if self._is_gap:
-            block, self._is_gap = replace(block, flags=block.flags | FLAG_GAP), False
+        was_gone, self._is_gap = self._is_gap, False
+        if was_gone:
+            block = replace(block, flags=block.flags | FLAG_GAP)
         step_s = self.clocks.hear(first_sample, block)
         flags = block.flags | (FLAG_GAP if step_s is not None else 0)
         self.writer.append_audio(block.samples, host_time_s=block.host_time_s, adc_time_s=block.adc_time_s, flags=flags)
         if flags & (FLAG_OVERFLOW | FLAG_GAP):
-            self._note_loss(first_sample, block.flags, step_s)
+            self._note_loss(first_sample, self._why_lost(block.flags, step_s, was_gone=was_gone))
         self._heard_s, self._mute_s = self.rig.clock.now_s(), _MUTE_S
         self.status.hear(block.samples, len(block.samples) / self._sample_rate_hz)
         self._hold(first_sample, block.samples)
 
-    def _note_loss(self, sample: int, flags: int, step_s: float | None) -> None:
+    def _note_loss(self, sample: int, why: str) -> None:
         self.losses += 1
         self.clocks.latency.forget()  # stamps that step may mean that the audio path has changed
         where = f"before {sample / self._sample_rate_hz:.1f} s of the recording"
+        self.say("warning", why.format(where=where))
+
+    def _why_lost(self, flags: int, step_s: float | None, *, was_gone: bool) -> str:
+        if was_gone:
+            return "audio is missing {where}: the sound device was gone"
         if step_s is not None and step_s < 0:
-            self.say("warning", f"the host's clock jumped by {-step_s:.2f} s {where}: did the computer sleep?")
-            return
+            return f"the host's clock jumped by {-step_s:.2f} s {{where}}: did the computer sleep?"
         who = "the sound device" if flags & (FLAG_OVERFLOW | FLAG_GAP) else "the clock"
-        self.say("warning", f"{who} says audio was lost {where}: close other programs if it happens again")
+        return f"{who} says audio was lost {{where}}: close other programs if it happens again"
 
     def _note_backlog(self, blocks: list[AudioBlock]) -> None:
         if not blocks:

@@ -303,10 +303,13 @@ class Capture(Section):
         0.3, gt=0, le=10, description="how far a still board may move between frames, root mean square of its corners"
     )
     still_s: float = Field(0.5, ge=0, le=30, description="how long the board must be still before the first buzzer")
-    frame_interval_s: float = Field(1.0, gt=0, le=60, description="time between stored frames of a pose")
+    frame_interval_s: float = Field(0.2, gt=0, le=60, description="time between stored frames of a pose")
     pose_timeout_s: float = Field(120.0, gt=0, le=36000, description="how long to wait for a still, found board")
     new_pose_px: float = Field(
         10.0, ge=0, le=1000, description="movement that makes a new pose, root mean square of the corners"
+    )
+    max_blur_px: float = Field(
+        2.0, gt=0, le=50, description="a board with blurrier edges is not captured: standard deviation of the blur"
     )
     min_level_dbfs: float = Field(-60.0, ge=-120, le=0, description="an emission quieter than this is not accepted")
     clip_level: float = Field(0.99, gt=0, le=1, description="samples beyond this share of full scale are clipped")

@@ -46,6 +46,7 @@ def test_a_device_that_comes_back_costs_the_pose_under_way_and_nothing_else(tmp_
         accepted = session.emissions[session.emissions["accepted"] == 1]
         assert accepted[accepted["pose"] == 2]["buzzer"].tolist() == [1, 7]
         assert len(gaps(session)) == (1 if kind == "audio_lost" else 0)
+        assert ("the sound device was gone" in listener.warnings()) == (kind == "audio_lost")
         assert np.nanmax(np.abs(median_late_s(session))) < 0.01
         stamps_s = session.audio_blocks["host_time_s"]
         assert (np.diff(stamps_s).max() > 8) == (kind == "audio_lost")
@@ -70,7 +71,7 @@ def test_a_board_that_restarts_fires_again_within_the_pose(tmp_path):
     assert "the simulated board restarted: check its cable and its power" in listener.warnings()
     with Session.open(tmp_path / "s.h5") as session:
         assert session.poses["accepted"].tolist() == [1, 1]
-        assert session.emissions["accepted"].tolist().count(0) <= 1
+        assert session.emissions["accepted"].tolist() == [1, 1, 0, 1, 1]
         assert session.emissions[session.emissions["accepted"] == 1]["buzzer"].tolist() == [1, 7, 1, 7]
         assert np.diff(session.pings["board_time_s"]).min() < 0  # its clock began anew
         assert np.abs(median_late_s(session)).max() < 0.005

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from acquire.errors import DeviceError
 from rigs.geometry import Pose
 
 _STAMP_JITTER_S = 0.001
+_SHIFTS = 128  # in each direction
 
 
 class SimulatedCamera:
@@ -22,7 +24,7 @@ class SimulatedCamera:
         self._stage = stage
         self._painter = Painter(stage.scene)
         self._fps = stage.scene.description.camera.fps
-        self._noise = stage.scene.description.simulation.image_noise
+        self._noise = self._drawn_noise()
         self.warnings: list[str] = []
         self._start_s: float | None = None
         self._frozen: Frame | None = None
@@ -54,10 +56,9 @@ class SimulatedCamera:
         taken_s = self._start_s + number / self._fps
         clock.sleep_s(taken_s - clock.now_s())
         rng = draws(self._stage.scene.seed, "frame", number)
-        clean = self._clean(taken_s)
-        noisy = clean + self._noise * rng.standard_normal(clean.shape, dtype=np.float32)
-        image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-        frame = Frame(image, taken_s + _STAMP_JITTER_S * abs(float(rng.standard_normal())))
+        image = cv2.add(self._clean(taken_s), self._shifted_noise(rng), dtype=cv2.CV_8U)  # rounds and saturates
+        stamp_s = taken_s + _STAMP_JITTER_S * abs(float(rng.standard_normal()))
+        frame = Frame(np.asarray(image, np.uint8), stamp_s)
         if self._stage.happens("camera_frozen"):
             self._frozen = frame
         return self._frozen or frame
@@ -65,6 +66,17 @@ class SimulatedCamera:
     def close(self) -> None:
         """Stop the camera; safe to call twice."""
         self._start_s = None
+
+    def _drawn_noise(self) -> NDArray[np.float32]:
+        """Draw noise for more than a picture: cut out elsewhere for each frame it is as good as new and faster."""
+        width, height = self._stage.scene.description.camera.size_px
+        rng = draws(self._stage.scene.seed, "pixels")
+        noise = rng.standard_normal((height + _SHIFTS, width + _SHIFTS), dtype=np.float32)
+        return np.float32(self._stage.scene.description.simulation.image_noise) * noise
+
+    def _shifted_noise(self, rng: np.random.Generator) -> NDArray[np.float32]:
+        (down, right), (width, height) = rng.integers(0, _SHIFTS, 2), self._stage.scene.description.camera.size_px
+        return self._noise[down : down + height, right : right + width]
 
     def _clean(self, time_s: float) -> NDArray[np.float32]:
         """Paint the picture, or take the last one while the board stands still."""
