@@ -79,9 +79,9 @@ def test_blocks_are_float32_of_all_channels_at_times_that_agree_with_their_sampl
     host_s = np.array([block.host_time_s for block in blocks])
     assert (np.diff(host_s) > 0).all()
     origin_s = host_s - (np.cumsum(n_samples) - n_samples) / RATE_HZ
-    assert np.median(np.abs(origin_s - np.median(origin_s))) < 0.003
+    assert np.median(np.abs(origin_s - np.median(origin_s))) < 0.01  # a third of capture.onset_tolerance_s
     end_s = np.median(origin_s) + n_samples.sum() / RATE_HZ
-    assert -0.5 < end_s - opened.clock.now_s() < 0.01
+    assert -1.0 < end_s - opened.clock.now_s() < 0.01
 
 
 def test_what_came_is_handed_out_once(opened):

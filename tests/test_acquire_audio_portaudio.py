@@ -7,9 +7,8 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from audio_inputs import RATE_HZ, counted, numbers, pulse_source, wait_until
+from audio_inputs import RATE_HZ, counted, lost_samples, pulse_source, wait_until
 from disk_stall import stalling_disk
 from virtual_bench.pulse import pulse_server
 
@@ -48,10 +47,8 @@ def test_being_held_up_for_three_seconds_costs_no_sample(tmp_path, how):
         assert program.returncode == 0
     assert longest_s > 2.9, "nothing was held up"
     with Session.open(tmp_path / "s.h5") as session:
-        heard = numbers(session.audio(0, session.n_samples))
+        assert lost_samples(session.audio(0, session.n_samples)) == 0
         assert not session.audio_blocks["flags"].any()
-    assert len(heard) > 5 * RATE_HZ
-    np.testing.assert_array_equal(np.diff(heard), 1)
 
 
 def test_a_device_that_falls_silent_is_reported_and_let_go_and_comes_back(capfd):
@@ -95,6 +92,7 @@ time.sleep(100)
             assert parent.stdout is not None
             recorder = int(parent.stdout.readline())
             assert is_running(recorder)
+            server.freeze()  # so that it has nothing to write, and would not notice by that
             parent.kill()
         wait_until(lambda: not is_running(recorder))
 
@@ -127,9 +125,10 @@ def test_it_records_at_other_rates(rate_hz):
         )
         audio.open()
         time.sleep(1.0)
-        n_samples = sum(len(block.samples) for block in audio.read())
+        *blocks, last = audio.read()
         audio.close()
-    assert n_samples > 1.2 * rate_hz
+    duration_s = last.host_time_s - blocks[0].host_time_s
+    assert sum(len(block.samples) for block in blocks) / duration_s == pytest.approx(rate_hz, rel=0.2)
 
 
 def test_a_missing_library_names_the_package(tmp_path, monkeypatch):

@@ -29,7 +29,7 @@ class PortAudioInput:
         self._uses_driver_times = False
 
     def open(self) -> str:
-        """Start recording, wait for the first sound, and return the driver's name and version.
+        """Start recording, wait until sound comes steadily, and return the driver's name and version.
 
         Raises
         ------
@@ -50,7 +50,8 @@ class PortAudioInput:
         except BaseException:
             self.close()
             raise
-        self._uses_driver_times = driver_times_are_sane(deliveries(self._recorder.heard()), self._rate_hz)
+        settling = deliveries(self._recorder.take())  # not recorded: its times shift
+        self._uses_driver_times = driver_times_are_sane(settling, self._rate_hz)
         clock = "driver" if self._uses_driver_times else "callback"
         return f"{driver}; {device.host_api}: {device.name}; times by the {clock}"
 

@@ -19,7 +19,7 @@ from acquire.sound_devices import RECORDER, SoundDevice, checked_answer
 from rigs.session.layout import FLAG_OVERFLOW
 
 _START_S = 10.0  # PulseAudio takes two seconds to begin
-_SETTLE_S = 0.5
+_SETTLE_S = 1.5  # in which buffers still fill, so that sound comes later and later
 _SILENCE_S = 1.0
 _GRACE_S = 0.1  # for this program's own thread, when all of it was held up
 _END_S = 1.0
@@ -56,7 +56,7 @@ class Recorder:
         self._pump = Thread(target=self._read_all, daemon=True)
 
     def start(self) -> str:
-        """Wait for half a second of sound, and return PortAudio's name and version. Raises DeviceError."""
+        """Wait until sound has come for a while, and return PortAudio's name and version. Raises DeviceError."""
         self._pump.start()
         end_s = time.monotonic() + _START_S
         if not self._has_answered.wait(_START_S):
@@ -66,10 +66,6 @@ class Recorder:
             if self._has_ended.wait(_POLL_S) or time.monotonic() > end_s:
                 raise DeviceError(f"{self._called()} delivers no sound: {_UNPLUGGED}; is it muted, or in use?")
         return driver
-
-    def heard(self) -> list[Buffer]:
-        """Return what has come in and was not taken yet."""
-        return list(self._buffers)
 
     def take(self) -> list[Buffer]:
         """Return what came in since the last call. Raises DeviceError once nothing does any more."""

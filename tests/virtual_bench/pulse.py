@@ -64,7 +64,9 @@ class PulseServer:
         """What to record from."""
         return f"{self.sink}.monitor"
 
-    def play(self, sound: NDArray[np.float32] | Iterable[NDArray[np.float32]], latency_ms: int = 50) -> Playing:
+    def play(
+        self, sound: NDArray[np.float32] | Iterable[NDArray[np.float32]], latency_ms: int | None = None
+    ) -> Playing:
         """Begin to play and return at once.
 
         Parameters
@@ -72,8 +74,11 @@ class PulseServer:
         sound : (n_samples, channels) float32 array, or an iterable of such
             Full scale = 1. An iterable is asked for its next block as soon as the sink takes it.
         latency_ms : int
-            How far ahead of the sink blocks are asked for.
+            How far ahead of the sink sound is asked for; default 1000 for an array and 50 for an iterable. On a busy
+            machine a short one leaves holes in what is played: silence, in place of as many or fewer samples.
         """
+        if latency_ms is None:
+            latency_ms = 1000 if isinstance(sound, np.ndarray) else 50
         command = self.pacat_command(latency_ms)
         pacat = subprocess.Popen(command, stdin=subprocess.PIPE, env=self.environment)
         blocks = [sound] if isinstance(sound, np.ndarray) else sound
