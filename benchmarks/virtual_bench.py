@@ -17,7 +17,13 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from virtual_bench.session import captured_and_calibrated, corner_errors_px, onset_offsets_s, spread_p95_s
+from virtual_bench.session import (
+    bench_offsets_s,
+    captured_and_calibrated,
+    corner_errors_px,
+    onset_offsets_s,
+    spread_p95_s,
+)
 
 from rigs.session.layout import FLAG_OVERFLOW
 from rigs.session.reader import Session
@@ -46,6 +52,7 @@ def figures(outcome, duration_s):
     """Return the rows of the table: what, limit, measured, whether it is within."""
     with Session.open(outcome.session_path) as session:
         offsets_s, p95_s = onset_offsets_s(session), spread_p95_s(onset_offsets_s(session))
+        own_p95_s = spread_p95_s(bench_offsets_s(session, outcome.truth))
         corners_px = corner_errors_px(session, outcome.truth)
         n_shots, n_good = len(session.emissions), int(session.emissions["accepted"].sum())
         n_overflows = int(np.count_nonzero(session.audio_blocks["flags"] & FLAG_OVERFLOW))
@@ -65,6 +72,7 @@ def figures(outcome, duration_s):
             f"{1e3 * p95_s:.1f} ms",
             p95_s < 5e-3,
         ),
+        ("of which the bench's own, and the way of the sound", "", f"{1e3 * own_p95_s:.1f} ms", True),
         ("onset after the ON event, median", "", f"{1e3 * np.median(offsets_s):.0f} ms", True),
         ("corners, RMSE (median over the poses)", "", f"{np.median(corners_px):.3f} px", True),
         ("overflows of the sound device", "0", f"{n_overflows}", n_overflows == 0),

@@ -28,7 +28,7 @@ def test_a_session_of_real_stacks_is_right_to_a_millimetre(tmp_path):
         check_against_truth(session, outcome.truth)
     assert f"{POSES} poses saved" in outcome.said
     assert outcome.evaluation.rmse_m <= 0.001
-    assert len(offsets_s) > 5 * POSES
+    assert len(offsets_s) > 2 * POSES  # those of which capture knew beforehand when they should be heard
     assert spread_p95_s(offsets_s) < 0.005
     assert corners_px.max() < 0.15
 
@@ -47,6 +47,7 @@ def check_recording(session):
     assert session.truth is None  # the bench keeps it to itself
     assert not (session.audio_blocks["flags"] & FLAG_OVERFLOW).any()
     assert set(session.emissions["buzzer"]) == {1, 2, 3, 4, 5, 6}
+    assert session.emissions["accepted"].sum() > 5 * POSES
     assert "buzzer-board" in session.versions["trigger"]
     assert "opencv" in session.versions["camera"]
     assert "portaudio" in session.versions["audio"].lower()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from calib.evaluation import Evaluation, evaluate
 from rigs.board import board_corners_m, find_corners, project
@@ -90,6 +91,23 @@ def onset_offsets_s(session: Session) -> NDArray[np.float64]:
     expected = onsets["predicted_sample"] / session.sample_rate_hz - onsets["latency_s"]
     offsets_s = onsets["measured_sample"] / session.sample_rate_hz - expected
     return offsets_s[(session.emissions["accepted"] == 1) & np.isfinite(offsets_s)]
+
+
+def bench_offsets_s(session: Session, truth: BenchTruth) -> NDArray[np.float64]:
+    """Return how much later than the true edges each accepted emission was heard (n_emissions,), by one line.
+
+    The line runs under the stamps of all blocks, so it holds where no sample was lost. What these vary is the bench's
+    own fault, and the way of the sound; what `onset_offsets_s` vary more is the capture's.
+    """
+    rows = np.flatnonzero(session.emissions["accepted"] == 1)
+    on_s = np.array([emission.on_s for emission in truth.emissions])[rows]
+    sample_s = session.audio_blocks["first_sample"] / session.sample_rate_hz
+    late_s = session.audio_blocks["host_time_s"] - sample_s
+    begin_s = late_s[0]
+    under = np.column_stack([sample_s, np.ones_like(sample_s)])
+    slope, first_s = linprog(-under.mean(axis=0), under, late_s - begin_s, bounds=(None, None)).x
+    measured_s = session.onsets["measured_sample"][rows] / session.sample_rate_hz
+    return begin_s + measured_s * (1 + slope) + first_s - on_s
 
 
 def spread_p95_s(offsets_s: NDArray[np.float64]) -> float:
