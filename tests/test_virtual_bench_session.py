@@ -28,7 +28,7 @@ def test_a_session_of_real_stacks_is_right_to_a_millimetre(tmp_path):
         check_against_truth(session, outcome.truth)
     assert f"{POSES} poses saved" in outcome.said
     assert outcome.evaluation.rmse_m <= 0.001
-    assert len(offsets_s) > 5 * POSES
+    assert len(offsets_s) > 2 * POSES  # those of which capture knew beforehand when they should be heard
     assert spread_p95_s(offsets_s) < 0.005
     assert corners_px.max() < 0.15
 
@@ -47,17 +47,18 @@ def check_recording(session):
     assert session.truth is None  # the bench keeps it to itself
     assert not (session.audio_blocks["flags"] & FLAG_OVERFLOW).any()
     assert set(session.emissions["buzzer"]) == {1, 2, 3, 4, 5, 6}
+    assert session.emissions["accepted"].sum() > 5 * POSES
     assert "buzzer-board" in session.versions["trigger"]
     assert "opencv" in session.versions["camera"]
     assert "portaudio" in session.versions["audio"].lower()
 
 
 def check_against_truth(session, truth):
-    """Every emission that was stored was sounded, in this order; and the board stood still in every accepted pose."""
-    sounded = [emission.buzzer for emission in truth.emissions]
-    assert sounded == session.emissions["buzzer"].tolist()
-    on_s = np.array([emission.on_s for emission in truth.emissions])
+    """Every emission that was stored was sounded, in this order, and those that count from the place of their pose."""
+    sounded = truth.emissions
+    assert [emission.buzzer for emission in sounded] == session.emissions["buzzer"].tolist()
+    on_s = np.array([emission.on_s for emission in sounded])
     assert np.median(np.abs(session.emissions["host_time_s"] - on_s)) < 0.005
     for pose in session.poses[session.poses["accepted"] == 1]:
-        place = place_at(truth, pose["start_host_time_s"])
-        assert place["left_s"] is None or place["left_s"] > pose["end_host_time_s"]
+        rows = np.flatnonzero((session.emissions["pose"] == pose["pose"]) & (session.emissions["accepted"] == 1))
+        assert {sounded[row].place for row in rows} == {place_at(truth, pose["start_host_time_s"])["number"]}

@@ -85,9 +85,9 @@ def test_the_mix_adds_and_says_what_came_too_late():
     assert mix.add(102, np.ones((4, 1), np.float32)) == 0
     assert mix.add(104, np.ones((4, 1), np.float32)) == 0
     assert mix.take(5)[:, 0].tolist() == [0, 0, 1, 1, 2]
-    assert mix.add(103, np.full((4, 1), 10, np.float32)) == 2
+    assert mix.add(103, np.array([[40], [30], [20], [10]], np.float32)) == 2
     assert mix.add(90, np.ones((4, 1), np.float32)) == 4
-    assert mix.take(4)[:, 0].tolist() == [12, 11, 1, 0]
+    assert mix.take(4)[:, 0].tolist() == [22, 11, 1, 0]
     assert mix.is_silent()
 
 

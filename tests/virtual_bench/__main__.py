@@ -11,7 +11,8 @@ from pathlib import Path
 from rigs.library import find_description
 from virtual_bench.bench import ENVIRONMENT_FILE, RIG_FILE, virtual_bench
 
-_NICENESS = -10
+_AUTOGROUP = Path("/proc/self/autogroup")
+_NICENESS = "-10"
 
 
 def main() -> None:
@@ -26,15 +27,20 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     description = find_description(options.rig).description
     seed = description.simulation.seed if options.seed is None else options.seed
-    with suppress(PermissionError):  # it stands for hardware, which a busy computer does not slow down
-        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    _stand_for_hardware()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with virtual_bench(description, folder, seed=seed, port=options.port) as bench:
-            _say(folder)
-            bench.run_for(float("inf"))
-    except KeyboardInterrupt:
-        print("the bench has ended", flush=True)  # noqa: T201
+    parent = os.getppid()
+    with suppress(KeyboardInterrupt), virtual_bench(description, folder, seed=seed, port=options.port) as bench:
+        _say(folder)
+        while os.getppid() == parent:  # whoever started it may be killed, and could not end it then
+            bench.run_for(1.0)
+
+
+def _stand_for_hardware() -> None:
+    """Come before other programs, as a busy computer does not slow hardware down; where Linux allows it."""
+    if os.getsid(0) == os.getpid():  # a session of its own, so that nothing else is meant
+        with suppress(OSError):
+            _AUTOGROUP.write_text(_NICENESS)
 
 
 def _say(folder: Path) -> None:

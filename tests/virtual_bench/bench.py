@@ -26,7 +26,7 @@ from virtual_bench.truth import write_truth
 from virtual_bench.view import View
 
 STEP_S = 0.01
-QUIET_S = 2.0  # longer than a capture takes to judge an emission, fire it again, and look once more
+QUIET_S = 2.5  # longer than a capture takes to judge an emission, fire it again, and look once more
 PATIENCE_S = 20.0
 RIG_FILE, ENVIRONMENT_FILE = "rig.yaml", "environment.sh"
 
