@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
+from rich.progress import Progress
 from rich.progress_bar import ProgressBar
 from rich.segment import Segment
 from rich.table import Table
@@ -35,6 +39,9 @@ class Screen(Protocol):
     def say(self, message: Message) -> None:
         """Show something that happened."""
 
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on, one after another, and show how far that is."""
+
 
 class PlainScreen:
     """One line per event, for pipes, logs and dumb terminals."""
@@ -58,6 +65,10 @@ class PlainScreen:
         mark = "" if message.level == "info" else f"{message.level}: "
         with suppress(SystemExit):  # rich's answer to a broken pipe
             self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on, and show nothing."""
+        return rows
 
 
 class LiveScreen:
@@ -89,6 +100,15 @@ class LiveScreen:
     def say(self, message: Message) -> None:
         """Redraw soon; the status holds the message."""
         self._drawn_s = float("-inf")
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on behind a bar, until there is a status to show."""
+        progress = Progress(console=self._console, auto_refresh=False)
+        for row in progress.track(rows, description=what):
+            if time.monotonic() - self._drawn_s >= _REFRESH_S:
+                self._live.update(progress, refresh=True)
+                self._drawn_s = time.monotonic()
+            yield row
 
     def _draw(self, status: Status) -> None:
         size = self._console.size

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,6 +20,9 @@ from rigs.session.wreck import Wreck
 from rigs.session.writer import SessionWriter
 from rigs.target import check_target
 
+Watch = Callable[
+    [NDArray[np.void], str], Iterable[np.void]
+]  # gives the rows on, and shows how far it is, and with what
 _SPARE_BYTES = 2**24
 _MAX_PLACES = 5
 _SILENCE_SAMPLES = 2**16
@@ -57,8 +60,19 @@ class Recovery:
         )
 
 
-def recover(path: Path, target: Path) -> Recovery:
+def unwatched(rows: NDArray[np.void], _what: str) -> Iterable[np.void]:
+    """Show nothing."""
+    return rows
+
+
+def recover(path: Path, target: Path, watch: Watch = unwatched) -> Recovery:
     """Copy the good part of a cut-off or damaged session to a new, complete one.
+
+    Parameters
+    ----------
+    path, target : Path
+    watch : callable
+        Handed the rows to copy and what they are; shows how far the copy is.
 
     Raises
     ------
@@ -72,7 +86,7 @@ def recover(path: Path, target: Path) -> Recovery:
         check_room(path, target)
         writer = SessionWriter.begin(target, copied_header(wreck), wreck.n_channels)
         try:
-            recovery = copy(wreck, writer)
+            recovery = copy(wreck, writer, watch)
             text = "; ".join(recovery.dropped) or "nothing"
             writer.append_log(math.nan, "warning", f"recovered from {path.name}: {recovery.kept()}; dropped: {text}")
             writer.close()
@@ -112,11 +126,11 @@ def copied_header(wreck: Wreck) -> Header:
     )
 
 
-def copy(wreck: Wreck, writer: SessionWriter) -> Recovery:
+def copy(wreck: Wreck, writer: SessionWriter, watch: Watch = unwatched) -> Recovery:
     """Copy all that is good; damaged sound becomes silence of the same length, so that no sample changes its place."""
     recovery = Recovery(dropped=list(wreck.remarks))
-    good = _copy_sound(wreck, writer, recovery)
-    frames = _copy_frames(wreck, writer, recovery)
+    good = _copy_sound(wreck, writer, recovery, watch)
+    frames = _copy_frames(wreck, writer, recovery, watch)
     emissions = _still_good_emissions(wreck, good, recovery)
     poses = _with_pose_under_way(_still_good_poses(wreck, emissions, recovery), emissions, frames, recovery)
     counted = {layout.EMISSIONS: emissions, layout.POSES: poses}
@@ -129,12 +143,12 @@ def copy(wreck: Wreck, writer: SessionWriter) -> Recovery:
     return recovery
 
 
-def _copy_sound(wreck: Wreck, writer: SessionWriter, recovery: Recovery) -> NDArray[np.int64]:
+def _copy_sound(wreck: Wreck, writer: SessionWriter, recovery: Recovery, watch: Watch) -> NDArray[np.int64]:
     """Copy the sound and return the first sample and the end of each good block (n, 2)."""
     damaged: list[np.void] = []  # since the last good block: silence if a good one follows, else the lost end
     silenced: list[np.void] = []
     good = []
-    for block in wreck.tables[layout.AUDIO_BLOCKS]:
+    for block in watch(wreck.tables[layout.AUDIO_BLOCKS], "copying sound"):
         samples = wreck.samples(block)
         if samples is None:
             damaged.append(block)
@@ -172,18 +186,19 @@ def _silence(block: np.void, begin: int, n_channels: int) -> Iterator[NDArray[np
         yield np.zeros((min(_SILENCE_SAMPLES, end - first), n_channels), dtype=np.float32)
 
 
-def _copy_frames(wreck: Wreck, writer: SessionWriter, recovery: Recovery) -> NDArray[np.void]:
+def _copy_frames(wreck: Wreck, writer: SessionWriter, recovery: Recovery, watch: Watch) -> NDArray[np.void]:
     """Copy the pictures and return the rows of those that are good."""
+    frames = wreck.tables[layout.CAMERA_FRAMES]
     good = []
-    for row, frame in enumerate(wreck.tables[layout.CAMERA_FRAMES]):
+    for row, frame in enumerate(watch(frames, "copying pictures")):
         png = wreck.png(frame)
         if png is not None:
             good.append(row)
             writer.append_png(png, host_time_s=float(frame["host_time_s"]), pose=int(frame["pose"]))
     recovery.n_frames = len(good)
-    if len(good) < len(wreck.tables[layout.CAMERA_FRAMES]):
-        recovery.dropped.append(f"{len(wreck.tables[layout.CAMERA_FRAMES]) - len(good)} damaged or lost frames")
-    return wreck.tables[layout.CAMERA_FRAMES][good]
+    if len(good) < len(frames):
+        recovery.dropped.append(f"{len(frames) - len(good)} damaged or lost frames")
+    return frames[good]
 
 
 def _still_good_emissions(wreck: Wreck, good: NDArray[np.int64], recovery: Recovery) -> NDArray[np.void]:

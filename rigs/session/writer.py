@@ -31,10 +31,10 @@ _FLUSH_INTERVAL_S = 0.25
 class SessionWriter:
     """Appends a recording to a new session file; make one with `create`, use it from one thread.
 
-    Whatever was flushed survives a crash of this program, and a second later a power loss too: a thread syncs the file
-    and a journal beside it. The writer flushes by itself after every quarter of a second of audio. `close` marks the
-    session complete and deletes the journal; leaving a `with` block by an exception closes the file without that mark;
-    it still reads.
+    Whatever was flushed survives a crash of this program, and half a second later a power loss too: a thread syncs the
+    file and a journal beside it. The writer flushes by itself after every quarter of a second of audio. `close` marks
+    the session complete and deletes the journal; leaving a `with` block by an exception closes the file without that
+    mark; it still reads.
     """
 
     def __init__(self, file: h5py.File, path: Path, hidden: Path, header: Header, n_channels: int) -> None:
