@@ -109,6 +109,7 @@ class LiveScreen:
                 self._live.update(progress, refresh=True)
                 self._drawn_s = time.monotonic()
             yield row
+        self._live.update("", refresh=True)
 
     def _draw(self, status: Status) -> None:
         size = self._console.size

@@ -61,7 +61,7 @@ def main(folder: Path, n_poses: int) -> None:
                 writer.flush()
                 marker.write(json.dumps([writer.n_samples, writer.n_frames, pose + 1]).encode())
         turns.end()
-        writer._durability.settle()  # so that what `close` writes comes after it
+        writer._file.settle()  # so that what `close` writes comes after it
         writer.close()
 
 

@@ -87,6 +87,13 @@ def discard(session: Path) -> None:
             each.unlink()
 
 
+def drop_journal(session: Path) -> None:
+    """Delete the journal of a session that is closed and on the disk; one that stays behind does no harm."""
+    with suppress(OSError):
+        journal_path(session).unlink()
+    sync_folder(session.parent)
+
+
 def refuse_existing(path: Path) -> None:
     """Raise TargetExistsError where something is at `path`."""
     if path.exists() or path.is_symlink():
