@@ -25,7 +25,7 @@ from rigs import __version__
 from rigs.description import RigDescription
 from rigs.errors import SessionWriteError
 from rigs.library import FoundDescription
-from rigs.session.recover import Watch
+from rigs.session.good_part import Watch
 from rigs.session.writer import SessionWriter
 from rigs.target import check_target
 

@@ -15,8 +15,9 @@ from rigs.description import RigDescription
 from rigs.errors import RigError, SessionError
 from rigs.library import FoundDescription
 from rigs.session import layout, picture
+from rigs.session.good_part import Recovery, Watch, copy, unwatched
 from rigs.session.layout import Truth
-from rigs.session.recover import Recovery, Watch, check_room, copied_header, copy, unwatched
+from rigs.session.recover import check_room, copied_header
 from rigs.session.wreck import Wreck
 from rigs.session.writer import SessionWriter
 
@@ -112,7 +113,7 @@ def resume(path: Path, truth: Truth | None, n_poses: int, watch: Watch = unwatch
     n_poses : int
         How many good poses are wanted in all.
     watch : callable
-        As in `rigs.session.recover`.
+        As in `rigs.session.recover.recover`.
 
     Raises
     ------

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigs.errors import SessionError
-from rigs.session import layout, picture, publication
+from rigs.session import layout, picture
 from rigs.session.growing_file import GrowingFile
 from rigs.session.layers import Header
 from rigs.session.layout import MeasuredTdoas, Truth
+from rigs.session.publication import Publication, refuse_existing
 
 _FLUSH_INTERVAL_S = 0.25
 
@@ -31,9 +32,9 @@ class SessionWriter:
     mark; it still reads.
     """
 
-    def __init__(self, file: GrowingFile, path: Path, hidden: Path, header: Header, n_channels: int) -> None:
-        self._file, self._path, self._hidden, self._n_channels = file, path, hidden, n_channels
-        self._is_published = False
+    def __init__(self, publication: Publication, header: Header, n_channels: int) -> None:
+        self._publication, self._n_channels = publication, n_channels
+        self._file = GrowingFile(publication.path, publication.hidden, header, n_channels)
         self._next_flags = 0
         self._flush_interval_samples = round(_FLUSH_INTERVAL_S * header.sample_rate_hz)
         self._n_flushed_samples = 0
@@ -80,8 +81,8 @@ class SessionWriter:
             The folder is missing, or the file cannot be written.
         """
         header = Header(name, description_text, versions, float(sample_rate_hz), truth, corners_px, tdoas)
-        publication.refuse_existing(Path(path))
-        writer = cls.begin(path, header, n_channels)
+        refuse_existing(Path(path))
+        writer = cls.begin(Path(path), header, n_channels)
         try:
             writer.publish()
         except BaseException:
@@ -100,18 +101,16 @@ class SessionWriter:
         TargetExistsError
             Another program makes this very session.
         """
-        path = Path(path)
-        hidden = publication.prepare(path)
+        publication = Publication(path)
         try:
-            return cls(GrowingFile(path, hidden, header, n_channels), path, hidden, header, n_channels)
+            return cls(publication, header, n_channels)
         except BaseException:
-            publication.discard(hidden)
+            publication.discard()
             raise
 
     def publish(self) -> None:
         """Give the session its name; raises TargetExistsError where something has it."""
-        publication.publish(self._hidden, self._path)
-        self._is_published = True
+        self._publication.publish()
 
     def replace(self, *, keep: bool) -> Path | None:
         """Put the session in the place of an older one of its name once all is on the disk.
@@ -120,14 +119,12 @@ class SessionWriter:
         """
         self.flush()
         self._file.settle()
-        kept = publication.replace(self._hidden, self._path, keep=keep)
-        self._is_published = True
-        return kept
+        return self._publication.replace(keep=keep)
 
     def discard(self) -> None:
         """Delete a session that was never published."""
         self._file.let_go()
-        publication.discard(self._hidden)
+        self._publication.discard()
 
     def mark_resumed(self) -> None:
         """Flag the next block of audio: a later run begins there."""
@@ -155,7 +152,8 @@ class SessionWriter:
         """
         if samples.ndim != 2 or samples.shape[1] != self._n_channels:
             raise SessionError(
-                f"{self._path}: audio of shape {samples.shape} does not fit a session of {self._n_channels} channels"
+                f"{self._publication.path}: audio of shape {samples.shape} does not fit a session of "
+                f"{self._n_channels} channels"
             )
         rows = np.ascontiguousarray(samples, dtype="<f4")
         flags, self._next_flags = flags | self._next_flags, 0
@@ -282,14 +280,14 @@ class SessionWriter:
         else:
             with suppress(SessionError):  # the error under way says more
                 self._close(layout.STATE_OPEN)
-            if not self._is_published:
+            if not self._publication.is_done:
                 self.discard()
 
     def _close(self, state: int) -> None:
         if not self._file.is_open:
             return
         self._file.close(state)
-        publication.drop_journal(self._path if self._is_published else self._hidden)
+        self._publication.drop_journal()
 
 
 def _cut(text: str, n_bytes: int) -> bytes:
