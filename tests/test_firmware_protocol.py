@@ -128,6 +128,14 @@ def test_the_first_edge_follows_within_a_few_milliseconds(host, wave):
     assert 2000 < lead_us < 5000
 
 
+def test_a_ping_is_timed_by_its_own_end_whether_lf_or_cr(host):
+    times_us = []
+    for end in (b"\n", b"\r", b"\r", b"\r\n", b"\n"):
+        host.serial.write(b"1 ping" + end)
+        times_us.append(int(values(host.line())["us"]))
+    assert all(np.diff(times_us) > 500), times_us  # six bytes take that long to come in
+
+
 def test_stop_ends_the_sound_at_once(board, host):
     host.ask("1 play 4 tone 1000 500000")
     on_us = int(host.event("on")["us"])
