@@ -76,9 +76,10 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
     search_s = FLIGHT_S + description.capture.onset_tolerance_s
     n_samples = round((2 * search_s + waveform.duration_s) * rate_hz)
     compressor = PulseCompressor(waveform, rate_hz, n_samples, max_tdoa_s)
-    columns = np.array(list(combinations(range(session.n_channels), 2)), dtype=np.int32)
+    channels = tuple(session.channels[column] for column in session.microphone_columns)
+    columns = np.array(list(combinations(range(len(channels)), 2)), dtype=np.int32)
     tdoa_s = np.full((len(emissions), len(columns)), np.nan)
-    heard = np.zeros((len(emissions), session.n_channels), dtype=bool)
+    heard = np.zeros((len(emissions), len(channels)), dtype=bool)
     clipped = np.zeros_like(heard)
     n_flawed = 0
     for row, emission in enumerate(emissions):
@@ -87,7 +88,7 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
         n_flawed += int(flawed.any())
         clipped[row] = (np.abs(np.where(flawed, 0, window)) >= description.capture.clip_level).any(axis=0)
         tdoa_s[row], heard[row] = _tdoas_of(np.where(flawed, np.float32(0), window), compressor, columns)
-    warnings = _unheard_channels(heard, session.channels) + _clipped_channels(clipped, session.channels)
+    warnings = _unheard_channels(heard, channels) + _clipped_channels(clipped, channels)
     at_limit = float(np.mean(np.isnan(tdoa_s) & heard[:, columns].all(axis=2)))
     if at_limit > 0.02:
         warnings.append(
@@ -96,7 +97,7 @@ def _from_sound(session: Session, emissions: NDArray[np.void]) -> tuple[FloatArr
         )
     if n_flawed:
         warnings.append(f"{n_flawed} emissions have samples that are not numbers; those channels were left out there")
-    return tdoa_s, np.array(session.channels, dtype=np.int32)[columns], warnings
+    return tdoa_s, np.array(channels, dtype=np.int32)[columns], warnings
 
 
 def _check_waveform(emissions: NDArray[np.void], waveform: Waveform) -> None:
@@ -115,11 +116,12 @@ def _check_waveform(emissions: NDArray[np.void], waveform: Waveform) -> None:
 
 
 def _window(session: Session, first_sample: int, n_samples: int) -> NDArray[np.float32]:
-    """Return samples (n_samples, n_channels), silent where the session holds none."""
+    """Return samples (n_samples, n_microphones), silent where the session holds none."""
     begin, end = max(first_sample, 0), min(first_sample + n_samples, session.n_samples)
-    window = np.zeros((n_samples, session.n_channels), dtype=np.float32)
+    columns = list(session.microphone_columns)
+    window = np.zeros((n_samples, len(columns)), dtype=np.float32)
     if begin < end:
-        window[begin - first_sample : end - first_sample] = session.audio(begin, end - begin)
+        window[begin - first_sample : end - first_sample] = session.audio(begin, end - begin)[:, columns]
     return window
 
 

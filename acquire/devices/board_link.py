@@ -17,7 +17,7 @@ from acquire.devices.wire import (
     Reply,
     encode,
 )
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceRestartedError
 from rigs.errors import reason
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class NoAnswerError(DeviceError):
     """The board did not answer a command in time."""
 
 
-class BoardRestartedError(DeviceError):
+class BoardRestartedError(DeviceRestartedError):
     """The board said `! boot`: what it was told before is forgotten."""
 
 
@@ -189,4 +189,4 @@ class BoardLink:
             raise self._lost(error) from error
 
     def _lost(self, error: OSError) -> PortLostError:
-        return PortLostError(f"{self.path}: the board is gone ({reason(error)}): plug it in again and start anew")
+        return PortLostError(f"{self.path}: the board is gone ({reason(error)}): plug it in again")

@@ -17,7 +17,7 @@ static const char USAGE[] =
     "  --mcu NAME    atmega328p (default: an Uno or Nano) or atmega2560 (a Mega)\n"
     "  --link PATH   make PATH a symbolic link to the serial port; nothing that is there is replaced\n"
     "  --dtr         reset the board when a host opens the port, as a real one does\n"
-    "  --trace FILE  write every change of an output pin: cycle, pin, level\n"
+    "  --trace FILE  write every change of an output pin: cycle, pin, level; and when cycle 0 was\n"
     "  --pace FILE   write when it ran: cycle, nanoseconds of CLOCK_MONOTONIC\n"
     "  --fast        run as fast as possible instead of at the pace of real time\n"
     "Signals: SIGUSR1 resets the board, SIGTERM and SIGINT end it.\n";
@@ -71,7 +71,10 @@ static struct options parse(int n_arguments, char **arguments) {
 // Sleeps until real time has caught up; a board that fell behind catches up itself, so its clock does not drift.
 static void keep_pace(uint64_t cycle, uint32_t frequency_hz) {
     static struct timespec start;
-    if (!start.tv_sec && !start.tv_nsec) clock_gettime(CLOCK_MONOTONIC, &start);
+    if (!start.tv_sec && !start.tv_nsec) {
+        clock_gettime(CLOCK_MONOTONIC, &start);
+        trace_pace(&start);
+    }
     uint64_t nanoseconds = cycle / frequency_hz * 1000000000u + cycle % frequency_hz * 1000000000u / frequency_hz;
     struct timespec due = {start.tv_sec + (time_t)(nanoseconds / 1000000000u),
                            start.tv_nsec + (long)(nanoseconds % 1000000000u)};

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from acquire.devices.base import EmissionStart, TriggerBoard
+from acquire.devices.base import ClockFit, EmissionStart, Ping, TriggerBoard
 from acquire.devices.simulated.stage import Emission, Stage
 from acquire.errors import DeviceError
 from rigs.waveform import Waveform
@@ -39,6 +39,14 @@ class HeardTrigger:
             here, index = stage.board_to_camera(start.host_time_s), self._buzzers.index(buzzer)
             stage.emit(Emission(index, waveform, start.host_time_s, _RATE, stage.pose, here))
         return start
+
+    def read_clock(self) -> list[Ping]:
+        """Read the board's clock once more, and return all readings since the last call. Raises as `play` does."""
+        return self._board.read_clock()
+
+    def clock_fit(self) -> ClockFit:
+        """Return the line from the board's clock to the host's."""
+        return self._board.clock_fit()
 
     def close(self) -> None:
         """Silence the board and let it go; safe to call twice."""
