@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,28 +78,22 @@ def _copy_sound(wreck: Wreck, writer: SessionWriter, recovery: Recovery, watch: 
     """Copy the sound and return the first sample and the end of each good block (n, 2)."""
     damaged: list[np.void] = []  # since the last good block: silence if a good one follows, else the lost end
     silenced: list[np.void] = []
-    good = []
-    for block in watch(wreck.tables[layout.AUDIO_BLOCKS], "copying sound"):
+    blocks = wreck.tables[layout.AUDIO_BLOCKS]
+    is_good = np.ones(len(blocks), dtype=bool)
+    for row, block in enumerate(watch(blocks, "copying sound")):
         samples = wreck.samples(block)
         if samples is None:
             damaged.append(block)
+            is_good[row] = False
             continue
-        for each in damaged:
-            for piece in _silence(each, writer.n_samples, wreck.n_channels):
-                writer.append_audio(piece, host_time_s=math.nan, adc_time_s=math.nan, flags=layout.FLAG_SILENCED)
+        _append_silence(writer, damaged, wreck.n_channels)
         silenced += damaged
         damaged.clear()
         _append_block(writer, block, samples)
-        good.append((int(block["first_sample"]), int(block["first_sample"]) + len(samples)))
-    rate_hz = wreck.header.sample_rate_hz
-    recovery.duration_s = writer.n_samples / rate_hz
-    if silenced:
-        recovery.dropped.append(
-            f"{_seconds(silenced, rate_hz)} of damaged sound, now silence: {_at(silenced, rate_hz)}"
-        )
-    if damaged:
-        recovery.dropped.append(f"the last {_seconds(damaged, rate_hz)} of sound, damaged or not there")
-    return np.array(good, dtype=np.int64).reshape(-1, 2)
+    recovery.duration_s = writer.n_samples / wreck.header.sample_rate_hz
+    recovery.dropped += _lost_sound(silenced, damaged, wreck.header.sample_rate_hz)
+    first = blocks["first_sample"][is_good]
+    return np.stack([first, first + blocks["n_samples"][is_good]], axis=1)
 
 
 def _append_block(writer: SessionWriter, block: np.void, samples: NDArray[np.float32]) -> None:
@@ -111,10 +105,23 @@ def _append_block(writer: SessionWriter, block: np.void, samples: NDArray[np.flo
     )
 
 
-def _silence(block: np.void, begin: int, n_channels: int) -> Iterator[NDArray[np.float32]]:
-    end = int(block["first_sample"]) + int(block["n_samples"])
-    for first in range(begin, end, _SILENCE_SAMPLES):
-        yield np.zeros((min(_SILENCE_SAMPLES, end - first), n_channels), dtype=np.float32)
+def _append_silence(writer: SessionWriter, blocks: list[np.void], n_channels: int) -> None:
+    """Append silence as long as the damaged blocks, from where the writer is to where the last of them ends."""
+    for block in blocks:
+        end = int(block["first_sample"]) + int(block["n_samples"])
+        for first in range(writer.n_samples, end, _SILENCE_SAMPLES):
+            silence = np.zeros((min(_SILENCE_SAMPLES, end - first), n_channels), dtype=np.float32)
+            writer.append_audio(silence, host_time_s=math.nan, adc_time_s=math.nan, flags=layout.FLAG_SILENCED)
+
+
+def _lost_sound(silenced: list[np.void], cut_off: list[np.void], rate_hz: float) -> list[str]:
+    """Say in words what sound is lost."""
+    lost = []
+    if silenced:
+        lost.append(f"{_seconds(silenced, rate_hz)} of damaged sound, now silence: {_at(silenced, rate_hz)}")
+    if cut_off:
+        lost.append(f"the last {_seconds(cut_off, rate_hz)} of sound, damaged or not there")
+    return lost
 
 
 def _copy_frames(wreck: Wreck, writer: SessionWriter, recovery: Recovery, watch: Watch) -> NDArray[np.void]:
