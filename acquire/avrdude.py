@@ -17,7 +17,11 @@ _MEANINGS = {
     r"permission denied": "no permission to use {port}: `sudo usermod -a -G dialout $USER`, then log out and in again",
     r"resource busy|device busy": "another program uses {port}: close serial monitors and captures, and try again",
     r"no such file|cannot open port|can't open device": "{port} is gone: plug the board in again, and try again",
-    r"signature": "the chip at {port} is not that of a {board}: name the right board with --board",
+    # avrdude names the signature in every run, good or bad: only its complaint counts
+    r"expected signature|invalid (device )?signature|double check chip": (
+        "the chip at {port} is not the {chip} of a {board}: name the right board with --board; other chips, "
+        "such as the ATmega168 of some old Nanos, cannot run this firmware"
+    ),
     r"verif\w+ (error|mismatch|failed)|mismatch": (
         "what stands on the board at {port} is not what was written: try again, with another cable or USB port"
     ),
@@ -102,7 +106,7 @@ def explain(output: str, kind: BoardKind, port: str) -> str:
     """Say in one line what avrdude's complaint means, and what to do."""
     for pattern, meaning in _MEANINGS.items():
         if re.search(pattern, output, re.IGNORECASE):
-            return meaning.format(port=port, board=kind.name)
+            return meaning.format(port=port, board=kind.name, chip=kind.chip)
     return f"avrdude failed at {port}, for the reason it gives above: try another cable and USB port"
 
 

@@ -38,7 +38,7 @@ def cli(port: str, board: str | None, image: Path | None, build: bool, dry_run: 
         raise click.UsageError("--image names a file, --build makes one: give one of the two")
     found = choose_port(port, serial_ports())
     kind = _kind(board, found)
-    click.echo(f"found {found.describe()}: taken as board {kind.name}")
+    click.echo(f"{'port' if port == found.path else 'found'} {found.describe()}: taken as board {kind.name}")
     if build and not dry_run:
         _build()
     chosen = image or _IMAGES / f"buzzer-board-{kind.image}.hex"

@@ -10,6 +10,7 @@ from acquire.emissions import ChannelFaults, Emissions
 from acquire.errors import CaptureQualityError, DeviceLostError
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
+from acquire.resume import Resumption
 from acquire.sharpness import edge_blur_px
 from acquire.status import State
 from acquire.stillness import Sight, SpreadFrames, StillBoard
@@ -44,9 +45,11 @@ class Poses:
     ----------
     recording : Recording
     description : RigDescription
+    earlier : Resumption, optional
+        What a session that goes on holds already.
     """
 
-    def __init__(self, recording: Recording, description: RigDescription) -> None:
+    def __init__(self, recording: Recording, description: RigDescription, earlier: Resumption | None = None) -> None:
         self._recording, self._status, self._clock = recording, recording.status, recording.rig.clock
         self._board, self._limits = description.board, description.capture
         self._reconnection = Reconnection(recording, description)
@@ -54,10 +57,12 @@ class Poses:
         self._shots = [
             (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
         ]
-        self._pose = 0  # counts attempts: a place that is captured again gets a number of its own
+        self._pose = (
+            earlier.recovery.next_pose if earlier else 0
+        )  # counts attempts: a place that is captured again gets a number of its own
         self._again = False  # the last attempt failed, so the same place is wanted
         self._silent_poses = 0
-        self._earlier_px: list[FloatArray] = []  # corners of each good pose
+        self._earlier_px: list[FloatArray] = list(earlier.corners_px) if earlier else []  # of each good pose
 
     def capture_all(self) -> None:
         """Capture until enough poses are good; what a lost device has spoilt is captured again.

@@ -74,9 +74,12 @@ class Recording:
 
     def say(self, level: str, text: str) -> None:
         """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
-        now_s = self.rig.clock.now_s()
-        self.writer.append_log(now_s, level, text)
-        message = Message(now_s - self._start_s, level, text)
+        self.writer.append_log(self.rig.clock.now_s(), level, text)
+        self.tell(level, text)
+
+    def tell(self, level: str, text: str) -> None:
+        """Tell the operator only."""
+        message = Message(self.rig.clock.now_s() - self._start_s, level, text)
         self.status.messages.append(message)
         self._screen.say(message)
 

@@ -52,6 +52,8 @@ class Status:
         How many are wanted.
     n_emissions : int
         How many a pose has.
+    earlier_s : float
+        Sound that the file held before this run.
     """
 
     rig: str
@@ -62,6 +64,7 @@ class Status:
     state: State = State.OPENING
     saved: int = 0
     time_s: float = 0.0
+    earlier_s: float = 0.0
     buzzer: int | None = None
     emission: int = 0
     board: str = "not looked for yet"

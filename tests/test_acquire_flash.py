@@ -6,6 +6,7 @@ import subprocess
 import tty
 
 import pytest
+from scripted_bootloader import ATMEGA168_SIGNATURE, ScriptedBootloader
 from simboard import OPTIBOOT, firmware, running_board
 
 from acquire.avrdude import BOARDS, explain
@@ -60,7 +61,7 @@ def rig_flash(*arguments):
 def test_a_dry_run_says_what_would_be_done(capsys, board, words):
     assert rig_flash("--port", "/dev/ttyX", "--board", board, "--dry-run") == 0
     printed = capsys.readouterr().out
-    assert f"found /dev/ttyX (no USB ids): taken as board {board}" in printed
+    assert printed.startswith(f"port /dev/ttyX (no USB ids): taken as board {board}\n")  # named, not found
     assert f"would run: avrdude {words}" in printed
     assert f"buzzer-board-{board.removesuffix('-old')}.hex" in printed
 
@@ -111,15 +112,41 @@ def test_a_board_that_does_not_answer_avrdude(capsys, image, mute_port, monkeypa
     assert "--board nano-old" in last
 
 
+def flashed_onto(bootloader, capsys):
+    """Run rig-flash with the real avrdude; return the exit code, all it printed to stderr, and its last line."""
+    exit_code = rig_flash("--port", bootloader.port, "--board", "uno", "--image", firmware("uno", "hex"))
+    said = capsys.readouterr().err
+    return exit_code, said, said.splitlines()[-1]
+
+
+def test_a_board_that_does_not_keep_what_is_written(capsys):
+    with ScriptedBootloader(stuck_low=0x80) as bootloader:
+        exit_code, said, last = flashed_onto(bootloader, capsys)
+        assert len(set(bootloader.flash[:8192])) > 100  # it was written
+    assert exit_code == 3
+    assert "verification mismatch" in said  # avrdude's own words, first
+    assert last.startswith(f"rig-flash: what stands on the board at {bootloader.port} is not what was written: try")
+
+
+def test_a_chip_of_another_kind(capsys):
+    with ScriptedBootloader(signature=ATMEGA168_SIGNATURE) as bootloader:
+        exit_code, said, last = flashed_onto(bootloader, capsys)
+        assert set(bootloader.flash) == {0xFF}  # nothing was written
+    assert exit_code == 3
+    assert "0x1e9406" in said
+    assert last.startswith(f"rig-flash: the chip at {bootloader.port} is not the atmega328p of a uno: name the right")
+
+
 @pytest.mark.parametrize(
     ("complaint", "meaning"),
     [
         ("OS error: cannot open port /dev/ttyX: Permission denied", "no permission to use /dev/ttyX: `sudo usermod"),
         ('ser_open(): can\'t open device "/dev/ttyX": Device or resource busy', "another program uses /dev/ttyX"),
         ("OS error: cannot open port /dev/ttyX: No such file or directory", "/dev/ttyX is gone: plug the board in"),
-        ("Expected signature for ATmega328P is 1E 95 0F", "not that of a uno: name the right board with --board"),
+        ("Expected signature for ATmega328P is 1E 95 0F", "is not the atmega328p of a uno: name the right board"),
         ("error: verification mismatch", "is not what was written: try again, with another cable"),
         ("verification error, first mismatch at byte 0x0000", "is not what was written: try again"),
+        ("device signature = 0x1e950f\navrdude error: verification mismatch", "is not what was written: try again"),
         ("stk500_getsync() attempt 10 of 10: not in sync: resp=0x00", "no bootloader of a uno answers at /dev/ttyX"),
         ("something new", "avrdude failed at /dev/ttyX, for the reason it gives above"),
     ],

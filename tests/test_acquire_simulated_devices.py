@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from scripted_board import ScriptedBoard
 from simulated import go_to_pose, joined, make_description, open_rig, record
 
 from acquire.clock import MonotonicClock, VirtualClock
@@ -242,6 +243,20 @@ def test_a_lost_device_says_so_from_its_pose_on(kind):
     go_to_pose(rig, 1)
     with pytest.raises(DeviceError, match=r"check its cable"):
         use()
+
+
+def test_a_real_board_heard_in_the_simulated_room_can_be_lost_too():
+    faults = {"faults": [{"kind": "trigger_lost", "pose": 1}]}
+    with ScriptedBoard() as scripted:
+        rig = choose_devices(make_description(trigger={"driver": "serial", "port": scripted.port}, simulation=faults))
+        rig.trigger.open()
+        rig.operator.ask_for_pose(0)
+        rig.trigger.play(1, WAVEFORM)
+        rig.operator.ask_for_pose(1)
+        with pytest.raises(DeviceError, match=r"simulated fault trigger_lost; check its cable"):
+            rig.trigger.play(1, WAVEFORM)
+        rig.trigger.close()
+        assert scripted.plays == 1
 
 
 def test_a_closed_sound_device_says_so():

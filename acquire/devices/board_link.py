@@ -98,7 +98,9 @@ class BoardLink:
         self.seq = next(_NUMBERS) % (SEQUENCE_NUMBERS - 1) + 1  # 0 is for lines that the board could not read
         sent_s = time.monotonic()
         self._send(encode(self.seq, verb, *arguments))
-        while time.monotonic() < sent_s + limit_s:
+        is_late = False
+        while not is_late:
+            is_late = time.monotonic() > sent_s + limit_s  # one look more: the host itself may have stood still
             for message in self._receive():
                 if isinstance(message, Reply) and self._is_ours(message):
                     return Answer(message, sent_s, time.monotonic())

@@ -18,6 +18,8 @@ from rigs.waveform import Waveform
 _FIRST_PINGS = 8
 _TRIES = 3
 _QUIET_S = 0.5  # after an emission of which nobody knows when it began
+_OVERDUE_S, _LOOK_S = 2.0, 0.02  # how long a sound may outlast its time by the host's clock
+_PLAYS_COUNTED = 1 << 16
 
 
 class SerialBoard:
@@ -41,6 +43,7 @@ class SerialBoard:
         self._wanted, self._waveform, self._buzzers = port, waveform, tuple(buzzers)
         self._link: BoardLink | None = None
         self._n_buzzers, self._n_plays = 0, 0
+        self._over_s = 0.0  # when the last sound should end
         self.clock = BoardClock()
         self._pings: list[Ping] = []  # that nobody has asked for yet
 
@@ -146,9 +149,11 @@ class SerialBoard:
         for _ in range(_TRIES):
             on_us = self._played(link, buzzer, waveform)
             if on_us is not None:
-                self._n_plays += 1
+                self._n_plays = (self._n_plays + 1) % _PLAYS_COUNTED
                 board_s = self.clock.board_s(on_us, time.monotonic())
-                return EmissionStart(board_s, max(asked_s, self.clock.host_s(board_s)), self.clock.fit().std_s)
+                start = EmissionStart(board_s, max(asked_s, self.clock.host_s(board_s)), self.clock.fit().std_s)
+                self._over_s = start.host_time_s + waveform.duration_s
+                return start
         raise DeviceError(f"{link.path}: the board did not take `play`, {_TRIES} times: check its cable")
 
     def _played(self, link: BoardLink, buzzer: int, waveform: Waveform) -> int | None:
@@ -159,7 +164,10 @@ class SerialBoard:
         except NoAnswerError:
             return self._start_by_status(link, waveform)
         if reply.error in (ERROR_CHECKSUM, ERROR_LINE):
-            return None  # spoilt on its way, so the board has done nothing
+            return self._start_by_status(link, waveform)  # it may mean noise before the command
+        if reply.error == ERROR_BUSY and time.monotonic() > self._over_s:
+            self._wait_for_silence(link)
+            return None
         if reply.error:
             raise self._refused(link, buzzer, reply)
         return number(reply.fields, "on_us", link.path)
@@ -175,6 +183,12 @@ class SerialBoard:
             self._n_plays = n_plays
             time.sleep(waveform.duration_s + _QUIET_S)
         return None
+
+    def _wait_for_silence(self, link: BoardLink) -> None:
+        """Wait for the end of a sound that should have ended: the board's clock is behind, or somebody else played."""
+        end_s = time.monotonic() + _OVERDUE_S
+        while time.monotonic() < end_s and link.ask_safely("status").reply.fields.get("state") == "playing":
+            time.sleep(_LOOK_S)
 
     def _refused(self, link: BoardLink, buzzer: int, reply: Reply) -> DeviceError:
         if reply.error == ERROR_BUSY:

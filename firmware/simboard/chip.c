@@ -11,11 +11,14 @@
 #include "trace.h"
 
 enum { FREQUENCY_HZ = 16000000, MOST_CYCLES = 3200 };  // at a time, between two looks at the serial line
+enum { WDTCSR = 0x60, WDP0_TO_2 = 7, WDP3 = 1 << 5 };   // ATmega328P and 2560
 
 static avr_t *chip;
 static bool was_reset;
 static const char *cause = "watchdog";  // what resets the chip unasked
 static void (*core_reset)(avr_t *);
+static avr_int_vector_t *watchdog;
+static avr_cycle_count_t unserved_since;
 
 static void fail(const char *what, const char *which) {
     fprintf(stderr, "simboard: %s: %s\n", which, what);
@@ -65,6 +68,11 @@ static void log_errors(avr_t *avr, const int level, const char *format, va_list 
     if (level <= LOG_ERROR) vfprintf(stderr, format, arguments);
 }
 
+static void find_watchdog(void) {
+    for (unsigned i = 0; i < chip->interrupts.vector_count; i++)
+        if (chip->interrupts.vector[i]->enable.reg == WDTCSR) watchdog = chip->interrupts.vector[i];
+}
+
 avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
     avr_global_logger_set(log_errors);
     chip = avr_make_mcu_by_name(mcu);
@@ -80,6 +88,7 @@ avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
     }
     core_reset = chip->reset;
     chip->reset = resetting;
+    find_watchdog();
     return chip;
 }
 
@@ -87,12 +96,27 @@ static void reset(const char *why, avr_regbit_t flag) {
     cause = why;
     avr_reset(chip);
     avr_regbit_set(chip, flag);
+}
+
+void chip_power_on(void) {
+    reset("power", chip->reset_flags.porf);
     // A boot loader waits for a new sketch only after an external reset; plugging a board in does one too.
     if (chip->reset_pc) avr_regbit_set(chip, chip->reset_flags.extrf);
 }
 
-void chip_power_on(void) { reset("power", chip->reset_flags.porf); }
 void chip_external_reset(void) { reset("external", chip->reset_flags.extrf); }
+
+// The watchdog resets a chip that did not serve its interrupt before the next time-out. libsimavr forgets that.
+static void reset_deaf_chip(void) {
+    if (!watchdog->pending) {
+        unserved_since = chip->cycle;
+        return;
+    }
+    const uint8_t control = chip->data[WDTCSR];
+    const unsigned prescaler = (control & WDP0_TO_2) | (control & WDP3 ? 8 : 0);
+    const avr_cycle_count_t time_out = (avr_cycle_count_t)(2048u << prescaler) * (FREQUENCY_HZ / 128000);
+    if (chip->cycle - unserved_since >= time_out) reset("watchdog", chip->reset_flags.wdrf);
+}
 
 bool chip_run(avr_cycle_count_t cycles) {
     for (avr_cycle_count_t end = chip->cycle + cycles; chip->cycle < end;) {
@@ -100,5 +124,6 @@ bool chip_run(avr_cycle_count_t cycles) {
         if (was_reset) spare_level_triggers();
         if (state == cpu_Done || state == cpu_Crashed) return false;
     }
+    reset_deaf_chip();
     return true;
 }

@@ -44,6 +44,8 @@ def summary(session: Session) -> Iterator[tuple[str, str]]:
     yield "session", session.name
     yield "recorded", session.created_utc
     yield "rig", f"{session.description.name} (sha256 {session.description_sha256[:12]})"
+    if session.recovered:
+        yield "recovered", f"{session.recovered}; its log says what was dropped"
     yield "complete", "yes" if session.complete else "no: still recording, or cut off; good as far as it goes"
     yield (
         "audio",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FORMAT = "acoustic-rig-session"
 VERSION = 1
 
-# Names of datasets. Root attributes: format, version, name, created_utc.
+# Names of datasets. Root attributes: format, version, name, created_utc, file_id, and recovered where it was.
 TIME_DATA = "time_data"  # (n_samples, n_channels) float32, full scale = 1; attribute sample_freq in hertz
 AUDIO_BLOCKS = "audio/blocks"  # (n_blocks,) AUDIO_BLOCK
 CAMERA_STREAM = "camera/stream"  # (n_bytes,) uint8: PNG pictures, one after another
@@ -23,6 +23,7 @@ POSES = "poses"  # (n_poses,) POSE
 LOG = "log"  # (n_lines,) LOG_LINE
 DESCRIPTION = "rig/description"  # (n_bytes,) uint8: the YAML word for word; attribute sha256
 VERSIONS = "rig/versions"  # (n_bytes,) uint8: JSON object of strings: software, firmware, drivers
+CHECKSUMS = "checksums"  # optional (n,) CHECKSUM, of tables and of what does not grow
 STATE = "state"  # (1,) uint8: STATE_OPEN while recording, STATE_CLOSED after a good end
 TRUTH = "truth"  # optional group, see Truth
 CORNERS = "measured/corners"  # optional (n_poses, n_corners, 2) float64 pixels, NaN where not found
@@ -100,6 +101,26 @@ POSE = np.dtype(
     ]
 )
 LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
+CHECKSUM = np.dtype(
+    [
+        ("name", "S64"),  # of the dataset
+        ("n_rows", "<i8"),  # -1: not known, as the session was never closed
+        ("crc32", "<u4"),  # of its bytes
+    ]
+)
+
+# Every table that grows, in the order in which it is flushed: what is pointed to comes first.
+TABLES: dict[str, np.dtype[np.void]] = {
+    AUDIO_BLOCKS: AUDIO_BLOCK,
+    CAMERA_FRAMES: FRAME,
+    PINGS: PING,
+    CLOCK_FITS: CLOCK_FIT,
+    POSES: POSE,
+    ONSETS: ONSET,
+    EMISSIONS: EMISSION,
+    LOG: LOG_LINE,
+}
+OPTIONAL_TABLES = (PINGS, CLOCK_FITS, ONSETS)  # that older sessions do not have
 
 CLOCK_AUDIO = b"audio"  # rows of time_data, by the stamps of audio/blocks; as used for the emission stored next
 CLOCK_BOARD = b"board"  # board_time_s, by clock/pings; as used for the emission stored next
@@ -108,6 +129,8 @@ CLOCK_SESSION = b"session"  # as audio, by all stamps of the longest stretch wit
 
 FLAG_OVERFLOW = 1  # the driver says samples before this block were lost
 FLAG_GAP = 2  # the clock says so
+FLAG_RESUMED = 4  # a later run begins here: host and board times before and after are not comparable
+FLAG_SILENCED = 8  # the block was damaged; silence of the same length stands in its place
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rigs.errors import SessionError
 from rigs.session import layers, layout, picture
+from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
 from rigs.session.validation import Judge
 
@@ -25,6 +26,8 @@ class Session:
     Attributes
     ----------
     name, created_utc : str
+    recovered : str
+        What it was recovered from, such as "from s1.h5"; empty where it was not.
     complete : bool
         The recording ended well.
     description : RigDescription
@@ -56,6 +59,7 @@ class Session:
         self._container = container
         self.path = container.path
         self.name, self.created_utc = layers.read_identity(container)
+        self.recovered = str(container.attribute("/", "recovered") or "")
         # The state, then the tables, then the streams: in a growing file each is as long as the one before needs.
         self.complete = bool(container.read(layout.STATE, np.uint8, (1,))[0] == layout.STATE_CLOSED)
         self.description_text, self.description_sha256 = layers.read_description(container)
@@ -132,7 +136,7 @@ class Session:
 
     def verify(self) -> list[str]:
         """Read everything and return in words what does not fit its checksum; empty when all is well."""
-        return [*self.remarks, *self._bad_blocks(), *self._bad_frames()]
+        return [*self.remarks, *misfits(self._container), *self._bad_blocks(), *self._bad_frames()]
 
     def sha256(self) -> str:
         """Return the SHA-256 of the whole file, in hexadecimal."""

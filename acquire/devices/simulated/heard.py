@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from acquire.devices.base import ClockFit, EmissionStart, Ping, TriggerBoard
 from acquire.devices.simulated.stage import Emission, Stage
+from acquire.errors import DeviceError
 from rigs.waveform import Waveform
 
 _RATE = 1.0  # the board's drift over one emission is too small to be heard
@@ -30,6 +31,8 @@ class HeardTrigger:
 
     def play(self, buzzer: int, waveform: Waveform) -> EmissionStart:
         """Start one emission and return at once. Raises DeviceError."""
+        if self._stage.faults("trigger_lost"):
+            raise DeviceError("trigger board: no answer, by the simulated fault trigger_lost; check its cable")
         start = self._board.play(buzzer, waveform)
         stage, silent = self._stage, {fault.buzzer or self._buzzers[0] for fault in self._stage.faults("silent_buzzer")}
         if buzzer in self._buzzers and buzzer not in silent:
