@@ -84,7 +84,7 @@ class SampleClock:
                 self._take(first_sample, host_time_s)
             return None
         since = [stamp for stamp in self._last(_DOUBT_S) if stamp.late_s * math.copysign(1, step_s) > JUMP_S]
-        is_new = step_s < 0 and self._lasts_s() < _START_UP_S + _EARLY_DOUBT_S
+        is_new = step_s < 0 and self._lasts_s() < _START_UP_S + _DOUBT_S
         self.restart()
         for stamp in since:
             self._take(stamp.sample, stamp.host_s)
