@@ -17,6 +17,16 @@ def late_stamps(n_blocks, *, ppm=0.0, mean_late_s=0.002, seed=0, start_s=START_S
     return samples, start_s + (samples - first) / (RATE_HZ * (1 + 1e-6 * ppm)) + late_s
 
 
+def some_early(hosts_s, *, seed, share=0.01, n_together=1):
+    """Return the stamps with a share of the blocks up to 12 ms early, some after one another, as sound servers do."""
+    rng = np.random.default_rng(seed)
+    early = np.flatnonzero(rng.random(len(hosts_s)) < share / n_together)
+    early = np.unique(np.add.outer(early, np.arange(n_together)).clip(0, len(hosts_s) - 1))
+    hosts_s = hosts_s.copy()
+    hosts_s[early] -= rng.uniform(0.003, 0.012, len(early))
+    return hosts_s
+
+
 def fed(clock, samples, hosts_s):
     return [step_s for each in zip(samples.tolist(), hosts_s.tolist(), strict=True) if (step_s := clock.add(*each))]
 
@@ -53,7 +63,7 @@ def test_one_block_gives_the_offset():
     assert clock.sample_at(START_S + 1) == pytest.approx(4800 + RATE_HZ)
 
 
-@pytest.mark.parametrize("lost_s", [0.01, 0.3])
+@pytest.mark.parametrize("lost_s", [0.01, 0.1, 0.3])
 def test_lost_samples_are_told_once_and_the_mapping_starts_anew(lost_s):
     clock = SampleClock(RATE_HZ)
     fed(clock, *late_stamps(500))
@@ -94,6 +104,54 @@ def test_a_clock_that_jumps_back_later_on_is_told():
     samples, hosts_s = late_stamps(500)
     hosts_s[300:] -= 0.4
     assert fed(clock, samples, hosts_s) == [pytest.approx(-0.4, abs=0.01)]
+
+
+@pytest.mark.parametrize(("share", "n_together"), [(0.01, 1), (0.03, 1), (0.03, 5), (0.03, 15)])
+@pytest.mark.parametrize("seed", range(4))
+def test_blocks_that_come_early_are_no_loss_and_move_the_line_little(share, n_together, seed):
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(3000, ppm=30.0, seed=seed)
+    hosts_s[100:] = some_early(hosts_s[100:], seed=seed, share=share, n_together=n_together)
+    assert not fed(clock, samples, hosts_s)
+    assert clock.fit().rate / RATE_HZ - 1 == pytest.approx(30e-6, abs=4e-6)
+    true_s = START_S + samples[2900] / (RATE_HZ * (1 + 30e-6))
+    assert clock.sample_at(true_s) == pytest.approx(samples[2900], abs=0.0005 * RATE_HZ)
+
+
+@pytest.mark.parametrize("at", [0, 1, 7, 30, 80])
+def test_a_single_early_block_at_the_start_is_no_loss(at):
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(300, mean_late_s=0.0005)
+    hosts_s[at] = START_S + samples[at] / RATE_HZ - 0.012
+    assert not fed(clock, samples, hosts_s)
+    assert clock.sample_at(START_S + 5.0) == pytest.approx(5.0 * RATE_HZ, abs=30)
+
+
+@pytest.mark.parametrize("lost_s", [0.006, 0.1])
+@pytest.mark.parametrize("seed", range(4))
+def test_lost_samples_are_told_within_a_second_although_blocks_come_early_now_and_then(lost_s, seed):
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(1500, seed=seed, mean_late_s=0.001)
+    hosts_s[700:] += lost_s
+    hosts_s = some_early(hosts_s, seed=seed)
+    steps = {k: step_s for k in range(1500) if (step_s := clock.add(int(samples[k]), float(hosts_s[k])))}
+    (at,) = steps
+    assert 0.9 < (samples[at] - samples[700]) / RATE_HZ < 1.5
+    assert steps[at] == pytest.approx(lost_s, abs=0.003)
+    assert clock.sample_at(START_S + 25.0) == pytest.approx((25.0 - lost_s) * RATE_HZ, abs=30)
+
+
+@pytest.mark.parametrize(("back_s", "within_s"), [(0.02, 3.1), (0.4, 1.1), (3600.0, 1.1)])
+def test_a_clock_that_jumps_back_is_told_from_early_blocks(back_s, within_s):
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(1500)
+    hosts_s = some_early(hosts_s, seed=0)
+    hosts_s[700:] -= back_s
+    steps = {k: step_s for k in range(1500) if (step_s := clock.add(int(samples[k]), float(hosts_s[k])))}
+    (at,) = steps
+    assert 0 < (samples[at] - samples[700]) / RATE_HZ < within_s
+    assert steps[at] == pytest.approx(-back_s, abs=0.012)
+    assert clock.sample_at(START_S + 25.0 - back_s) == pytest.approx(25.0 * RATE_HZ, abs=30)
 
 
 def test_the_longest_stretch_gives_the_rate_of_the_session():

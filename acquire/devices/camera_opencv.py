@@ -73,7 +73,8 @@ class OpenCvCamera:
         """
         self.close()
         self.warnings = []
-        self._stream = PictureStream(self._start, self._source.label, is_live=self._source.is_live)
+        fps = self._description.fps
+        self._stream = PictureStream(self._start, self._source.label, is_live=self._source.is_live, fps=fps)
         try:
             first = self._stream.next_frame(_FIRST_PICTURE_S)
             self._check_size(first)

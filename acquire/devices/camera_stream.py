@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.devices.base import Frame
+from acquire.devices.camera_backlog import Backlog, Sleep
 from acquire.errors import DeviceError
 
 Picture = NDArray[np.uint8]
@@ -20,6 +21,7 @@ _LOOK_S = 0.2  # between pictures that are looked at although nobody asked for o
 _FROZEN_S = 1.0
 _FROZEN_PICTURES = 4
 _JOIN_S = 1.0
+_CATCH_UP_S = 8.0  # so long may all pictures that come be old
 _LOST = "lost, it sends no more pictures: check its cable, its power and the network"
 _PLAYED = "played to its end: give a longer recording, or a camera"
 
@@ -67,6 +69,8 @@ class PictureStream:
         What messages call the source.
     is_live : bool
         A camera: it never ends by itself, and when its pictures repeat themselves it is frozen.
+    fps : float
+        How many pictures a second are expected.
 
     Attributes
     ----------
@@ -74,11 +78,12 @@ class PictureStream:
         How many pictures have come in, decoded or not, and the host monotonic time of the last.
     """
 
-    def __init__(self, start: Callable[[], Pictures], label: str, *, is_live: bool) -> None:
+    def __init__(self, start: Callable[[], Pictures], label: str, *, is_live: bool, fps: float) -> None:
         self.grabbed = (0, 0.0)
         self._start, self._label = start, label
         self._over = _LOST if is_live else _PLAYED
         self._repetition = Repetition() if is_live else None
+        self._backlog = Backlog(1 / fps) if is_live else None
         self._changed = threading.Condition()
         self._frame: Frame | None = None
         self._wanted, self._frozen, self._stopping = True, False, False
@@ -99,12 +104,19 @@ class PictureStream:
         with self._changed:
             self._wanted = True
             self._changed.wait_for(lambda: self._end or self._frozen or self._is_newer(asked_s), timeout_s)
+            if not self._end and not self._is_newer(asked_s) and self.grabbed[1] > asked_s:  # old ones come
+                self._changed.wait_for(lambda: self._end or self._is_newer(asked_s), _CATCH_UP_S - timeout_s)
             if self._end:
                 raise DeviceError(self._end)
             if self._frozen:
                 raise DeviceError(
                     f"{self._label}: frozen, it has sent the same picture for {_FROZEN_S:g} s: take the cap off its "
                     "lens, or unplug it once"
+                )
+            if not self._is_newer(asked_s) and self.grabbed[1] > asked_s:
+                raise DeviceError(
+                    f"{self._label}: its pictures come late, as this computer or the network is too slow for so many: "
+                    "close other programs, lower the camera's rate and camera.fps, or choose a smaller size"
                 )
             if self._frame is None or not self._is_newer(asked_s):
                 raise DeviceError(
@@ -135,11 +147,14 @@ class PictureStream:
 
     def _grab(self, pictures: Pictures) -> bool:
         """Take the next picture in, and tell whether there was one."""
+        sleep = Sleep()
         if not pictures.grab():
             self._finish(f"{self._label}: {self._over}")
             return False
         now_s = time.monotonic()
         self.grabbed = (self.grabbed[0] + 1, now_s)
+        if self._backlog is not None and not self._backlog.is_new(now_s, sleep.slept_s()):
+            return True
         if self._wanted or now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
             good, picture = pictures.retrieve()

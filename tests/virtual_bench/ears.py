@@ -18,7 +18,7 @@ from virtual_bench.mix import Mix
 from virtual_bench.pins import Edge
 from virtual_bench.sound import Air, Response
 
-RENDER_LATENCY_S = 0.3  # from an edge to its sound: what is written ahead, and time to follow the trace and render
+RENDER_LATENCY_S = 0.35  # from an edge to its sound: what is written ahead, and time to follow the trace and render
 _PAUSE_S = 0.05  # a pin at rest for so long begins a new emission
 _NUMBER_OF_PIN = {pin: number for number, pin in BUZZER_PINS.items()}
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from virtual_bench.pulse import PulseServer
 
-_LATENCY_MS = 300  # of pacat: the room that `_LEAD_S` needs
-_LEAD_S = 0.2  # so far ahead is written: a pause of this program up to that length goes unheard
-_PRIMING_S = 0.35  # silence that pacat wants before it begins
+_LATENCY_MS = 400  # of pacat: the room that `_LEAD_S` needs
+_LEAD_S = 0.25  # so far ahead is written: a pause of this program up to that length goes unheard
+_PRIMING_S = 0.45  # silence that pacat wants before it begins
 _WINDOW_S = 4.0  # of readings
 _MIN_READINGS = 30
 _QUANTILE = 0.1  # of the readings: most come late on a busy machine, one now and then is early

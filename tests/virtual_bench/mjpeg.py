@@ -36,9 +36,8 @@ class MjpegServer(ThreadingHTTPServer):
         self.url = f"http://127.0.0.1:{self.server_port}/stream.mjpeg"
         self.sent_s: list[float] = []  # when each picture began to be sent
         self.streams = 0  # how many clients there have been
-        self._running, self._sending, self._live = threading.Event(), threading.Event(), threading.Event()
-        for event in (self._running, self._sending, self._live):
-            event.set()
+        self._running, self._sending, self._live, self._flowing = (threading.Event() for _ in range(4))
+        self.come_back()
         self._frozen_jpeg = b""
         self._epoch = 0
 
@@ -51,6 +50,10 @@ class MjpegServer(ThreadingHTTPServer):
         """Keep the connections and send nothing, as a switched-off radio link does."""
         self._sending.clear()
 
+    def hold(self) -> None:
+        """Take pictures and keep them back, as a network does that is jammed; they come all at once afterwards."""
+        self._flowing.clear()
+
     def drop(self) -> None:
         """End every connection, and every new one at once, as a camera without power does."""
         self._epoch += 1
@@ -58,12 +61,12 @@ class MjpegServer(ThreadingHTTPServer):
 
     def come_back(self) -> None:
         """End all faults."""
-        for event in (self._running, self._sending, self._live):
+        for event in (self._running, self._sending, self._live, self._flowing):
             event.set()
 
     def stream(self, send: Callable[[bytes], object]) -> None:
         """Send pictures until the server drops the connection; one that is late is left out."""
-        epoch, start_s, number = self._epoch, time.monotonic(), 0
+        epoch, start_s, number, held = self._epoch, time.monotonic(), 0, b""
         while epoch == self._epoch:
             now_s = time.monotonic()
             number = max(number + 1, int((now_s - start_s) * self.fps))
@@ -72,7 +75,10 @@ class MjpegServer(ThreadingHTTPServer):
                 self.sent_s.append(time.monotonic())
                 jpeg = self.next_jpeg(self.sent_s[-1]) if self._live.is_set() else self._frozen_jpeg
                 head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-                send(head.encode() + jpeg + b"\r\n")
+                held += head.encode() + jpeg + b"\r\n"
+            if held and self._flowing.is_set():
+                send(held)
+                held = b""
 
     def is_up(self) -> bool:
         """Tell whether new clients are served."""

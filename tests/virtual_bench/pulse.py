@@ -135,7 +135,8 @@ def pulse_server(
     """
     with tempfile.TemporaryDirectory(prefix="pa-", ignore_cleanup_errors=True) as runtime:
         environment = _environment(Path(runtime), folder or Path(runtime), f"{sink}.monitor")
-        null_sink = f"module-null-sink sink_name={sink} channels={channels} rate={rate_hz} format=float32le"
+        # Without rewinds: with them it hands over samples up to 10 ms before they are due, which no hardware does.
+        null_sink = f"module-null-sink norewinds=1 sink_name={sink} channels={channels} rate={rate_hz} format=float32le"
         command = ["pulseaudio", "-n", "--daemonize=no", "--exit-idle-time=-1", "--disable-shm=yes", "--realtime=no"]
         command += ["--high-priority=no", "--log-level=error", "-L", "module-native-protocol-unix"]
         command += ["-L", f"{null_sink} channel_map={_map(channels)}"]
