@@ -189,5 +189,6 @@ def _end(recording: Recording, state: State, level: str, text: str) -> None:
     recording.status.state, recording.status.advice = state, ""
     if (rate := recording.clocks.store_session()) is not None:
         recording.say("info", rate)
+    recording.say("info", recording.film.in_words())
     recording.say(level, text)
     recording.writer.close()

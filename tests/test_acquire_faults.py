@@ -99,7 +99,7 @@ def test_a_device_that_is_lost_again_and_again_is_given_up(tmp_path):
 
 def test_a_frozen_camera_is_opened_again_and_the_pose_repeated(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("camera_frozen", pose=1))
-    assert "camera: it gives the same picture again and again" in listener.warnings()
+    assert "camera: the simulated camera is frozen: take the cap off its lens" in listener.warnings()
     with Session.open(tmp_path / "s.h5") as session:
         assert session.poses["accepted"].tolist() == [1, 0, 1]
         assert (np.diff(session.frames["host_time_s"]) > 0).all()
