@@ -71,9 +71,13 @@ class Recording:
         self._is_gap = self._is_excused = False
 
     def say(self, level: str, text: str) -> None:
-        """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
-        self.writer.append_log(self.rig.clock.now_s(), level, text)
+        """Tell the operator, and store it in the log; `level` is "info", "warning" or "error"."""
+        self.note(level, text)
         self.tell(level, text)
+
+    def note(self, level: str, text: str) -> None:
+        """Store it in the log only."""
+        self.writer.append_log(self.rig.clock.now_s(), level, text)
 
     def tell(self, level: str, text: str) -> None:
         """Tell the operator only."""

@@ -184,11 +184,15 @@ class NoOperator:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run came to; memory in MB, cpu as a share of one core."""
+    """What one run came to; memory in MB, cpu as a share of one core.
+
+    A frame is lost where an interval has none. One may come late without that: a busy computer wakes any thread late.
+    """
 
     lost_samples: int
     gaps: int
     lost_frames: int
+    frame_late_s: float
     cpu: float
     cpu_sources: float
     peak_mb: float
@@ -222,6 +226,7 @@ def _rows(runs: list[Outcome]) -> Iterator[tuple[str, str, list[str]]]:
     yield "samples lost", "0", [str(run.lost_samples) for run in runs]
     yield "gaps flagged", "0", [str(run.gaps) for run in runs]
     yield "frames lost", "0", [str(run.lost_frames) for run in runs]
+    yield "latest frame", "", [f"{run.frame_late_s:.2f} s" for run in runs]
     yield "longest wait of audio", "10 s", [f"{run.backlog_s:.2f} s" for run in runs]
     yield "peak memory", "300 MB", [f"{run.peak_mb:.0f} MB" for run in runs]
     yield "growth after 10 s", "none", [f"{run.growth_mb:+.1f} MB" for run in runs]
@@ -271,16 +276,15 @@ def _record(found: FoundDescription, path: Path, rate_hz: int, duration_s: float
         camera.open()
         audio.open()
         try:
-            measured = _watched(
-                Recording(rig, writer, description, PlainScreen(Console()), status, lambda: False), duration_s
-            )
+            recording = Recording(rig, writer, description, PlainScreen(Console()), status, lambda: False)
+            measured = _watched(recording, duration_s)
         finally:
             audio.close()
             camera.close()
         for block in audio.read():  # what came after the last look
             writer.append_audio(block.samples, host_time_s=block.host_time_s, adc_time_s=block.adc_time_s)
     sources = _source_share(description, rate_hz)
-    return _judged(path, audio, duration_s, measured, sources)
+    return _judged(path, audio, recording.film.n_missing, duration_s, measured, sources)
 
 
 def _watched(recording: Recording, duration_s: float) -> tuple[float, float, float, float]:
@@ -316,17 +320,21 @@ def _source_share(description: RigDescription, rate_hz: int) -> float:
 
 
 def _judged(
-    path: Path, audio: ThreadedAudio, duration_s: float, measured: tuple[float, float, float, float], sources: float
+    path: Path,
+    audio: ThreadedAudio,
+    n_missing: int,
+    duration_s: float,
+    measured: tuple[float, float, float, float],
+    sources: float,
 ) -> Outcome:
     cpu, peak_mb, growth_mb, backlog_s = measured
     with Session.open(path) as session:
         flags = session.audio_blocks["flags"]
         gaps = int(np.count_nonzero(flags & (FLAG_GAP | FLAG_OVERFLOW)))
         lost_samples = audio.n_samples - session.n_samples
-        late_s = np.diff(session.frames["host_time_s"]) - 1 / STORED_FPS
-        lost_frames = int(np.sum(np.maximum(np.rint(late_s * STORED_FPS), 0)))
-        lost_frames = max(lost_frames, int(duration_s * STORED_FPS) - len(session.frames))
-    return Outcome(lost_samples, gaps, lost_frames, cpu, sources, peak_mb, growth_mb, backlog_s)
+        late_s = float(np.diff(session.frames["host_time_s"]).max()) - 1 / STORED_FPS
+        lost_frames = max(n_missing, int(duration_s * STORED_FPS) - len(session.frames))
+    return Outcome(lost_samples, gaps, lost_frames, late_s, cpu, sources, peak_mb, growth_mb, backlog_s)
 
 
 def _resident_mb() -> float:
