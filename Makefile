@@ -1,5 +1,5 @@
 # make demo: the main job on the simulated rig.   make test: all checks and tests.
-# Both set up everything they need, system packages included.
+# Both set up everything they need; tests need Debian packages too, which .ci/system-packages installs.
 
 SEED ?= 0
 BIN := .venv/bin
@@ -8,10 +8,11 @@ STAMP := .venv/.installed
 .PHONY: help setup demo virtual-bench bench figures test lint types imports tests lock clean
 
 help:
+	@echo "make setup          everything that Python needs, into .venv; then: . .venv/bin/activate"
 	@echo "make demo [SEED=0]  capture 25 poses on the simulated rig and calibrate them"
 	@echo "make virtual-bench  run a bench without hardware for rig-capture (docs/virtual-bench.md)"
 	@echo "make bench          all benchmarks, a table each"
-	@echo "make test           linter, type checker, import contracts, tests"
+	@echo "make test           linter, type checker, import contracts, tests; installs Debian packages (.ci/system-packages)"
 	@echo "make lock           renew requirements.lock from pyproject.toml"
 	@echo "make clean          remove the environment and everything the demo made"
 

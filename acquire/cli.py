@@ -88,9 +88,9 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
     if found.description.signal.kind == "tone":
         console.print(_TONE_WARNING, soft_wrap=True, markup=False)
     with stop_on_signals() as stop_wanted, screen_for(console) as screen:
-        capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted, resumes=resumes)
+        status = capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted, resumes=resumes)
     with suppress(SystemExit):  # rich's answer to a broken pipe: nobody reads this any more
-        console.print(f"next: rig-calibrate {path}", soft_wrap=True, markup=False)
+        console.print(_next_line(status.saved, found.description.min_poses, path), soft_wrap=True, markup=False)
     return 0
 
 
@@ -111,6 +111,12 @@ def _rig_line(found: FoundDescription) -> str:
     if found.how == "default":
         why = "the default, as nothing else is named by --rig, RIG, ./rig.yaml or your config folder"
     return f"rig {found.description.name}, from {found.where}: {why}"
+
+
+def _next_line(n_saved: int, n_needed: int, path: Path) -> str:
+    if n_saved < n_needed:
+        return f"next: capture a session with more poses: rig-calibrate needs at least {n_needed} poses, 25 are good"
+    return f"next: rig-calibrate {path}"
 
 
 def main() -> None:

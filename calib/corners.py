@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from calib.errors import NotEnoughDataError
 from rigs.board import find_corners, movement_px
+from rigs.description import MIN_POSES
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
 
-MIN_POSES = 4
-MIN_POSES_FOR_INTRINSICS = 6
 MIN_CORNERS = 8
 ABSURD_PX = 1e5
 _FRAMES_PER_POSE = 4  # the search for corners is most of the work, and their errors are mostly the same in each frame
@@ -54,9 +53,8 @@ def find_pose_corners(session: Session) -> PoseCorners:
         The session has too few poses, or the board was found in too few of them.
     """
     accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
-    needed, note = MIN_POSES, ""
-    if session.description.camera.intrinsics == "from session":
-        needed, note = MIN_POSES_FOR_INTRINSICS, f" ({MIN_POSES} with camera.intrinsics in the rig description)"
+    needed = session.description.min_poses
+    note = f" ({MIN_POSES} with camera.intrinsics in the rig description)" if needed > MIN_POSES else ""
     if len(accepted) < needed:
         raise NotEnoughDataError(
             f"the session has {len(accepted)} accepted poses, at least {needed} are needed{note}: capture a session "

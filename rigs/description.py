@@ -15,6 +15,9 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 
 from rigs.waveform import Waveform
 
+MIN_POSES = 4  # that a session needs before it can be calibrated
+MIN_POSES_FOR_INTRINSICS = 6  # where the camera's intrinsics are to be found from it, too
+
 Channel = Annotated[int, Field(ge=1, le=1024)]
 Length = Annotated[float, Field(gt=0, le=0.5)]
 Coordinate = Annotated[float, Field(ge=-20, le=20)]
@@ -395,6 +398,11 @@ class RigDescription(Section):
     capture: Capture = Capture()
     calibration: Calibration = Calibration()
     simulation: Simulation = Simulation()
+
+    @property
+    def min_poses(self) -> int:
+        """How many poses a session of this rig needs before it can be calibrated."""
+        return MIN_POSES_FOR_INTRINSICS if self.camera.intrinsics == "from session" else MIN_POSES
 
     @model_validator(mode="after")
     def _signal_fits_sample_rate(self) -> RigDescription:

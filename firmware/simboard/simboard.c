@@ -15,7 +15,7 @@ static const char USAGE[] =
     "usage: simboard [options] IMAGE [IMAGE ...]\n"
     "Runs firmware (.elf, .hex, a boot loader's .hex too) on a simulated board; prints the path of its serial port.\n"
     "  --mcu NAME    atmega328p (default: an Uno or Nano) or atmega2560 (a Mega)\n"
-    "  --link PATH   make PATH a symbolic link to the serial port\n"
+    "  --link PATH   make PATH a symbolic link to the serial port; nothing that is there is replaced\n"
     "  --dtr         reset the board when a host opens the port, as a real one does\n"
     "  --trace FILE  write every change of an output pin: cycle, pin, level; and when cycle 0 was\n"
     "  --pace FILE   write when it ran: cycle, nanoseconds of CLOCK_MONOTONIC\n"
@@ -136,6 +136,8 @@ int main(int n_arguments, char **arguments) {
     const bool is_well = run(chip, &options);
     flush_logs();
     line_close();
-    if (!is_well) fprintf(stderr, "simboard: the firmware crashed at address 0x%04x\n", (unsigned)chip->pc);
+    if (!is_well)
+        fprintf(stderr, "simboard: the firmware crashed at address 0x%04x; if it is not for an %s, give --mcu\n",
+                (unsigned)chip->pc, options.mcu);
     return is_well ? 0 : 1;
 }
