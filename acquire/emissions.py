@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from acquire.checks import EmissionCheck, check_emission, find_onset
 from acquire.clocks import Prediction
 from acquire.devices.base import EmissionStart
-from acquire.errors import DeviceError, DeviceLostError, DeviceRestartedError
+from acquire.errors import DeviceLostError, DeviceRestartedError, losing
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.status import State
@@ -126,21 +126,19 @@ class Emissions:
     def _started(self, buzzer: int) -> EmissionStart:
         while True:
             try:
-                return self._trigger.play(buzzer, self._waveform)
+                with losing("trigger"):
+                    return self._trigger.play(buzzer, self._waveform)
             except DeviceRestartedError as error:
                 self._reconnection.restore(DeviceLostError(str(error), "trigger"))
-            except DeviceError as error:
-                raise DeviceLostError(str(error), "trigger") from error
 
     def _has_restarted(self) -> bool:
         """Read the board's clock; where the board has restarted, nobody knows what it has played."""
         try:
-            self._clocks.store(self._trigger)
+            with losing("trigger"):
+                self._clocks.store(self._trigger)
         except DeviceRestartedError as error:
             self._reconnection.restore(DeviceLostError(str(error), "trigger"))
             return True
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "trigger") from error
         return False
 
     def _judged(self, start: EmissionStart, prediction: Prediction) -> Shot:

@@ -56,9 +56,8 @@ class Poses:
         self._shots = [
             (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
         ]
-        self._pose = (
-            earlier.recovery.next_pose if earlier else 0
-        )  # counts attempts: a place that is captured again gets a number of its own
+        # counts attempts: a place that is captured again gets a number of its own
+        self._pose = earlier.recovery.next_pose if earlier else 0
         self._again = False  # the last attempt failed, so the same place is wanted
         self._silent_poses = 0
         self._earlier_px: list[FloatArray] = list(earlier.corners_px) if earlier else []  # of each good pose

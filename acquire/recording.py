@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquire.clocks import Clocks
 from acquire.devices.base import AudioBlock, Frame, Rig
 from acquire.disk import DiskSpace
-from acquire.errors import DeviceError, DeviceLostError, InterruptedCaptureError
+from acquire.errors import DeviceLostError, InterruptedCaptureError, losing
 from acquire.film import Film
 from acquire.screen import Screen
 from acquire.status import Message, Status
@@ -21,7 +21,7 @@ from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.writer import SessionWriter
 
-STEP_S = 0.1
+_STEP_S = 0.1
 _FLUSH_S = 1.0
 _MUTE_S = 1.0  # an unplugged sound device falls silent rather than failing
 _FIRST_BLOCK_S = 2.0
@@ -31,7 +31,7 @@ _COMPLAIN_S = 30.0
 
 
 class Recording:
-    """Audio without a break, pictures where they are wanted, and log lines.
+    """Audio without a break, the film of each pose, and log lines.
 
     Parameters
     ----------
@@ -44,6 +44,13 @@ class Recording:
         Kept up to date; the screen shows it.
     stop_wanted : callable
         True once somebody wants the capture to end.
+
+    Attributes
+    ----------
+    clocks : Clocks
+    film : Film
+    losses : int
+        How often audio was lost so far.
     """
 
     def __init__(
@@ -97,21 +104,19 @@ class Recording:
         InterruptedCaptureError
             Somebody wants the capture to end.
         """
-        try:
+        with losing("audio"):
             blocks = self.rig.audio.read()
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "audio") from error
         for block in blocks:
             self._store(block)
         self._note_backlog(blocks)
         self._check_mute()
-        self._store_film()
+        self._watch()
         self._go_on()
 
     def idle(self, duration_s: float) -> None:
         """Let time pass without a sound device. Raises as `listen` does, but for the sound device."""
         self.rig.clock.sleep_s(duration_s)
-        self._store_film()
+        self._watch()
         self._go_on()
 
     def reopened(self, part: str) -> None:
@@ -123,10 +128,8 @@ class Recording:
 
     def look(self) -> Frame:
         """Return the camera's next frame. Raises DeviceLostError, and as `listen` does."""
-        try:
+        with losing("camera"):
             frame = self.rig.camera.read()
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "camera") from error
         self.listen()
         return frame
 
@@ -134,7 +137,7 @@ class Recording:
         """Let time pass, storing what comes in. Raises as `listen` does."""
         end_s = self.rig.clock.now_s() + duration_s
         while (left_s := end_s - self.rig.clock.now_s()) > 1e-6:
-            self.rig.clock.sleep_s(min(STEP_S, left_s))
+            self.rig.clock.sleep_s(min(_STEP_S, left_s))
             self.listen()
 
     def record_until(self, sample: int) -> None:
@@ -143,7 +146,7 @@ class Recording:
         while self.writer.n_samples < sample or self.clocks.is_in_doubt:
             if self.rig.clock.now_s() > end_s:
                 return
-            self.record(STEP_S)
+            self.record(_STEP_S)
 
     def samples(self, first_sample: int, end_sample: int) -> tuple[int, NDArray[np.float32]]:
         """Return what is still at hand of rows `first_sample` to `end_sample`, and the row where it begins."""
@@ -159,11 +162,10 @@ class Recording:
         self.writer.flush()
         self._flushed_s = self.rig.clock.now_s()
 
-    def _store_film(self) -> None:
-        try:
+    def _watch(self) -> None:
+        """Store the frames that have come in, within a pose."""
+        with losing("camera"):
             self.film.store()
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "camera") from error
 
     def _store(self, block: AudioBlock) -> None:
         if not len(block.samples):
