@@ -26,7 +26,6 @@ _FLUSH_S = 1.0
 _MUTE_S = 1.0  # an unplugged sound device falls silent rather than failing
 _FIRST_BLOCK_S = 2.0
 _LATE_S = 2.0  # a device that is later than that has lost the sound
-_SLOW_S = 1.0  # audio that waited longer than this tells of a slow disk
 _COMPLAIN_S = 30.0
 
 
@@ -204,7 +203,7 @@ class Recording:
         self.status.backlog_s = waited_s
         now_s, excused = self.rig.clock.now_s(), self._is_excused
         self._is_excused = False
-        if waited_s > _SLOW_S and not excused and now_s - self._complained_s > _COMPLAIN_S:
+        if self.status.is_behind and not excused and now_s - self._complained_s > _COMPLAIN_S:
             self._complained_s = now_s
             self.say(
                 "warning",

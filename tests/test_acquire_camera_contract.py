@@ -194,7 +194,7 @@ def read_on(camera):
 
 
 def collect_on(camera):
-    camera.collect(Rhythm(camera.read().host_time_s, 0.2))
+    camera.collect(Rhythm(0.0, 0.2))
     for _ in range(250):
         camera.collected()
         time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""A session at the virtual bench as a user captures and calibrates it, and what came of it."""
+"""A session at the virtual bench as a user checks, captures and calibrates it, and what came of it."""
 
 from __future__ import annotations
 
