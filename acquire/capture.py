@@ -105,9 +105,10 @@ def capture(
             raise SessionWriteError(f"{error}; {saved_line(status)}") from error
         except CaptureError as error:
             level = "info" if isinstance(error, InterruptedCaptureError) else "error"
-            _end(recording, _end_state(error), level, str(error))
+            _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
             raise type(error)(f"{error}; {saved_line(status)}") from error
         _end(recording, State.FINISHED, "info", saved_line(status))
+        recording.tell("info", saved_line(status))
     return status
 
 
@@ -204,5 +205,6 @@ def _end(recording: Recording, state: State, level: str, text: str) -> None:
     recording.status.state, recording.status.advice = state, ""
     if (rate := recording.clocks.store_session()) is not None:
         recording.say("info", rate)
-    recording.say(level, text)
+    recording.say("info", recording.film.in_words())
+    recording.note(level, text)
     recording.writer.close()
