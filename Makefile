@@ -5,11 +5,12 @@ SEED ?= 0
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help setup demo figures test lint types imports tests lock clean
+.PHONY: help setup demo figures bench test lint types imports tests lock clean
 
 help:
 	@echo "make demo [SEED=0]  capture 25 poses on the simulated rig and calibrate them"
 	@echo "make test           linter, type checker, import contracts, tests"
+	@echo "make bench          tables of accuracy and speed beside those of peers"
 	@echo "make lock           renew requirements.lock from pyproject.toml"
 	@echo "make clean          remove the environment and everything the demo made"
 
@@ -29,6 +30,10 @@ demo: setup
 # the README's picture, from the demo's files
 figures: setup
 	$(BIN)/python docs/figures/make.py
+
+# against peers, one script after another; takes minutes
+bench: setup
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
 test: lint types imports tests
 

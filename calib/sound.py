@@ -12,7 +12,7 @@ from calib.background import Background, listen
 from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
-from calib.gcc import PairCorrelator
+from calib.gcc import PairCorrelator, candidates_of
 from calib.receptions import Listener, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
@@ -138,7 +138,7 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     clipped, not_numbers = np.zeros((2, *shape), dtype=bool)
     pairs = correlator.pairs(windows.n_channels)
     for sound in windows.batches(np.arange(len(rows))):
-        found = agree(correlator.candidates(sound.samples), pairs, windows.n_channels)
+        found = agree(candidates_of(correlator, sound.samples), pairs, windows.n_channels)
         place[sound.rows], std[sound.rows], quality[sound.rows] = found.arrivals, found.std, found.quality
         loud[sound.rows] = _is_loud(sound.samples, background)
         clipped[sound.rows] = (np.abs(sound.samples) >= session.description.capture.clip_level).any(axis=2)
