@@ -10,12 +10,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import pyroomacoustics
+from pyroomacoustics.experimental import tdoa as pra_tdoa
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -97,10 +98,7 @@ def pair_by_pair(made: RoomSound, *, phat: bool) -> np.ndarray:
     """Every pair of the first emissions."""
     return np.array(
         [
-            [
-                pyroomacoustics.experimental.tdoa(window[j], window[i], interp=16, fs=RATE_HZ, phat=phat)
-                for i, j in PAIRS
-            ]
+            [pra_tdoa(window[j], window[i], interp=16, fs=RATE_HZ, phat=phat) for i, j in PAIRS]
             for window in windows(made)[:12]
         ]
     )
@@ -150,16 +148,15 @@ def speed() -> None:
 
     def a_few_pairs() -> None:
         for i, j in PAIRS[:12]:
-            pyroomacoustics.experimental.tdoa(sound[0, j], sound[0, i], interp=16, fs=RATE_HZ)
+            pra_tdoa(sound[0, j], sound[0, i], interp=16, fs=RATE_HZ)
 
     all_at_once()
     mine = best(all_at_once, 3)
     theirs = best(a_few_pairs, 3) / 12 * 28 * 414
     print(f"  gcc-phat with candidates and closure      {mine[0]:8.2f} s   processor {mine[1]:8.2f} s")
     print(f"  pyroomacoustics tdoa, pair by pair        {theirs[0]:8.2f} s   processor {theirs[1]:8.2f} s")
-    print(
-        f"  ratio                                     {theirs[0] / mine[0]:8.1f}     processor {theirs[1] / mine[1]:8.1f}"
-    )
+    ratio = theirs / mine
+    print(f"  ratio                                     {ratio[0]:8.1f}     processor {ratio[1]:8.1f}")
 
 
 def best(work: Callable[[], None], n_times: int) -> np.ndarray:
@@ -188,6 +185,14 @@ class LongSession:
         return self._tile[np.arange(first_sample, first_sample + n_samples) % len(self._tile)]
 
 
+@contextmanager
+def session_of(made: RoomSound) -> Iterator[Session]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_room_session(Path(folder) / "s.h5", made)
+        with Session.open(path) as session:
+            yield session
+
+
 def memory() -> None:
     made = make_room_sound(Scenario(n_poses=2, seed=5, max_order=5))
     with (
@@ -198,9 +203,8 @@ def memory() -> None:
     begin = time.perf_counter()
     sound = find_arrivals(long, np.arange(len(long.emissions)), "matched")  # type: ignore[arg-type]
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(
-        f"\nAn hour of sound, {len(long.emissions)} emissions, {np.isfinite(sound.arrival_s).mean():.1%} of the arrivals found"
-    )
+    found = np.isfinite(sound.arrival_s).mean()
+    print(f"\nAn hour of sound, {len(long.emissions)} emissions, {found:.1%} of the arrivals found")
     print(f"  {time.perf_counter() - begin:.1f} s, peak memory of the process {peak_mb:.0f} MB")
 
 

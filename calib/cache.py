@@ -41,7 +41,7 @@ class ArrivalCache:
     def load(self, rows: NDArray[np.intp], mode: TdoaMode) -> SoundArrivals | None:
         """Return the arrivals of an earlier run on the same sound with the same settings, if there are any."""
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 if str(file["key"]) != self._key(mode) or not np.array_equal(file["rows"], rows):
                     return None
                 arrival_s = file["arrival_s"]
@@ -85,7 +85,7 @@ class ArrivalCache:
 
     def _is_ours(self) -> bool:
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 return {"key", "arrival_s", "masks"} <= set(file.files)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return False
