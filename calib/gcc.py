@@ -125,7 +125,7 @@ class PairCorrelator:
         if self._noise is None:
             return np.asarray(whole)
         power = np.mean(magnitude**2, axis=0, dtype=float)
-        signal = uniform_filter1d(power / self._noise, SMOOTHING_BINS, axis=1).max(axis=0) - 1
+        signal = uniform_filter1d((power / self._noise).mean(axis=0), SMOOTHING_BINS) - 1
         return np.asarray(whole & (signal > SIGNAL_TO_NOISE))
 
     def _correlation(self, crosses: NDArray[np.complex64], first: int) -> FloatArray:

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.background import Background, listen
+from calib.background import listen
 from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
 from calib.gcc import PairCorrelator, candidates_of
-from calib.receptions import Listener, find_flaws
+from calib.receptions import SILENT_RMS, Listener, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
 from rigs.waveform import Waveform
@@ -140,8 +140,8 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     for sound in windows.batches(np.arange(len(rows))):
         found = agree(candidates_of(correlator, sound.samples), pairs, windows.n_channels)
         place[sound.rows], std[sound.rows], quality[sound.rows] = found.arrivals, found.std, found.quality
-        loud[sound.rows] = _is_loud(sound.samples, background)
-        clipped[sound.rows] = (np.abs(sound.samples) >= session.description.capture.clip_level).any(axis=2)
+        loud[sound.rows] = sound.rms() > LOUD_RATIO * np.maximum(background.rms, SILENT_RMS)
+        clipped[sound.rows] = sound.peak() >= session.description.capture.clip_level
         not_numbers[sound.rows] = sound.not_numbers
     flaws.add(Flaw.CUT_OFF, (windows.held_samples() < windows.n_samples)[:, None])
     flaws.add(Flaw.NOT_NUMBERS, not_numbers)
@@ -150,8 +150,3 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     flaws.add(Flaw.CLIPPED, clipped)
     flaws.add(Flaw.HUM, background.humming)
     return _kept("gcc-phat", rows, windows, place, std, flaws, quality)
-
-
-def _is_loud(samples: NDArray[np.float32], background: Background) -> NDArray[np.bool_]:
-    rms = np.sqrt(np.mean(samples**2, axis=2, dtype=float))
-    return np.asarray(rms > LOUD_RATIO * np.maximum(background.rms, 1e-9))

@@ -36,6 +36,15 @@ class Sound:
     samples: NDArray[np.float32]
     not_numbers: NDArray[np.bool_]
 
+    def peak(self) -> NDArray[np.float32]:
+        """Return the largest magnitude (n, n_channels)."""
+        return np.asarray(np.maximum(self.samples.max(axis=2), -self.samples.min(axis=2)))
+
+    def rms(self) -> FloatArray:
+        """Return the root mean square (n, n_channels)."""
+        energy = np.einsum("ncs,ncs->nc", self.samples, self.samples)
+        return np.asarray(np.sqrt(energy / self.samples.shape[2]), dtype=float)
+
 
 class EmissionWindows:
     """Windows of equal length around where emissions are expected; the beginning of each is before the sound.
@@ -96,8 +105,8 @@ class EmissionWindows:
             begin, end = max(int(first), 0), min(int(first) + n_wanted, self._session.n_samples)
             if begin < end:
                 window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T
-        numbers = np.isfinite(samples)
-        not_numbers = np.asarray(~numbers.all(axis=2))
+        with np.errstate(invalid="ignore", over="ignore"):
+            not_numbers = ~np.isfinite(samples.sum(axis=2, dtype=float))  # one such sample spoils the sum
         if not_numbers.any():
-            samples[~numbers] = 0.0
+            samples[~np.isfinite(samples)] = 0.0
         return Sound(rows, samples, not_numbers)
