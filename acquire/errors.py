@@ -11,6 +11,29 @@ class DeviceError(CaptureError):
     """A device is missing, was lost, or does not answer."""
 
 
+class DeviceRestartedError(DeviceError):
+    """A device answers, but has forgotten what it was told: open it again and repeat."""
+
+
+class DeviceLostError(DeviceError):
+    """A device was lost while a session is captured.
+
+    Parameters
+    ----------
+    message : str
+    part : str
+        "trigger", "audio" or "camera".
+    """
+
+    def __init__(self, message: str, part: str = "") -> None:
+        super().__init__(message)
+        self.part = part
+
+
+class DiskShortError(CaptureError):
+    """There is no room left on the disk; the session is closed well while there still is a little."""
+
+
 class FirmwareError(CaptureError):
     """The trigger board's firmware does not fit this host."""
 

@@ -17,6 +17,7 @@ from rich.text import Text
 from acquire.status import QUIET_DBFS, Message, State, Status
 
 _REFRESH_S = 0.1
+_BEHIND_S = 1.0
 _HOT_DBFS, _CLIPPED_DBFS = -6.0, -0.1
 _METER_WIDTH = 38
 _LINES_BESIDE_METERS = 16
@@ -133,8 +134,9 @@ def _header(status: Status, width: int) -> Table:
     grid.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
     grid.add_column(no_wrap=True, justify="right")
     title = Text.assemble(("rig-capture", "bold"), f"  {status.rig} ", ("to", "dim"), f" {status.file}")
-    state = Text(f"{status.state.value}  ", style=_ENDS.get(status.state, "cyan")) + Text(_clock_time(status.time_s))
-    grid.add_row(title, state)
+    behind = Text(f"{status.backlog_s:.1f} s behind  ", style="yellow") if status.backlog_s > _BEHIND_S else Text("")
+    state = Text(f"{status.state.value}  ", style=_ENDS.get(status.state, "cyan"))
+    grid.add_row(title, behind + state + Text(_clock_time(status.time_s)))
     return grid
 
 

@@ -22,6 +22,7 @@ class State(StrEnum):
     FIRING = "firing"
     CHECKING = "checking"
     COMPARING = "comparing"
+    RECONNECTING = "reconnecting"
     FINISHED = "finished"
     INTERRUPTED = "interrupted"
     LOST = "lost"
@@ -51,6 +52,8 @@ class Status:
         How many are wanted.
     n_emissions : int
         How many a pose has.
+    earlier_s : float
+        Sound that the file held before this run.
     """
 
     rig: str
@@ -61,12 +64,14 @@ class Status:
     state: State = State.OPENING
     saved: int = 0
     time_s: float = 0.0
+    earlier_s: float = 0.0
     buzzer: int | None = None
     emission: int = 0
     board: str = "not looked for yet"
     advice: str = ""
     faults: dict[int, str] = field(default_factory=dict)
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=20))
+    backlog_s: float = 0.0
     level_dbfs: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:

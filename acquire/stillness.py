@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.devices.base import Frame
 from rigs.board import movement_px
 from rigs.description import Capture
 
@@ -17,9 +19,10 @@ class Sight(StrEnum):
     """What the camera sees of the board."""
 
     MISSING = "not found"
-    SAME_PLACE = "at the last place"
+    SAME_PLACE = "where it was before"
     MOVING = "moving"
     SETTLING = "coming to rest"
+    BLURRED = "blurred"
     STILL = "still"
 
 
@@ -30,13 +33,13 @@ class StillBoard:
     ----------
     limits : Capture
         `still_px`, `still_s` and `new_pose_px`.
-    last_corners_px : (n_corners, 2) array or None
-        Corners of the last accepted pose.
+    earlier_px : sequence of (n_corners, 2) arrays
+        Corners of all accepted poses.
     """
 
-    def __init__(self, limits: Capture, last_corners_px: FloatArray | None) -> None:
+    def __init__(self, limits: Capture, earlier_px: Sequence[FloatArray]) -> None:
         self._limits = limits
-        self._last_corners_px = last_corners_px
+        self._earlier_px = earlier_px
         self._still_since: tuple[float, FloatArray] | None = None
         self.movement_px = float("nan")
 
@@ -45,13 +48,13 @@ class StillBoard:
         if corners_px is None:
             self._still_since, self.movement_px = None, float("nan")
             return Sight.MISSING
-        if self._last_corners_px is not None and not self._is_new(corners_px, self._last_corners_px):
+        if not all(self._is_new(corners_px, earlier_px) for earlier_px in self._earlier_px):
             self._still_since, self.movement_px = None, float("nan")
             return Sight.SAME_PLACE
         return self._follow(corners_px, host_time_s)
 
-    def _is_new(self, corners_px: FloatArray, last_corners_px: FloatArray) -> bool:
-        return movement_px(corners_px, last_corners_px) >= self._limits.new_pose_px
+    def _is_new(self, corners_px: FloatArray, earlier_px: FloatArray) -> bool:
+        return movement_px(corners_px, earlier_px) >= self._limits.new_pose_px
 
     def _follow(self, corners_px: FloatArray, host_time_s: float) -> Sight:
         if self._still_since is None:
@@ -62,3 +65,29 @@ class StillBoard:
             self._still_since = (host_time_s, corners_px)
             return Sight.MOVING
         return Sight.STILL if host_time_s - since_s >= self._limits.still_s else Sight.SETTLING
+
+
+class SpreadFrames:
+    """A few of the frames that come in, spread over all of them, however many they are.
+
+    Parameters
+    ----------
+    most : int
+        How many are held at most.
+
+    Attributes
+    ----------
+    frames : list of Frame
+    """
+
+    def __init__(self, most: int) -> None:
+        self.frames: list[Frame] = []
+        self._most, self._every, self._n_seen = most, 1, 0
+
+    def add(self, frame: Frame) -> None:
+        """Hold the frame, or not; where there are too many, every other one is let go."""
+        if self._n_seen % self._every == 0:
+            self.frames.append(frame)
+        if len(self.frames) > self._most:
+            self.frames, self._every = self.frames[::2], 2 * self._every
+        self._n_seen += 1

@@ -179,7 +179,7 @@ class LongSession:
 
     def __init__(self, session: Session, made: RoomSound, n_tiles: int) -> None:
         self.description, self.channels = session.description, session.channels
-        self.sample_rate_hz, self.n_channels = session.sample_rate_hz, session.n_channels
+        self.sample_rate_hz, self.microphone_columns = session.sample_rate_hz, session.microphone_columns
         self._tile = made.sound
         self.n_samples = n_tiles * len(made.sound)
         self.emissions = np.concatenate([session.emissions] * n_tiles)

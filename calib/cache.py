@@ -46,8 +46,11 @@ class ArrivalCache:
                     return None
                 arrival_s = file["arrival_s"]
                 table = {Flaw(str(name)): mask for name, mask in zip(file["flaws"], file["masks"], strict=True)}
+                channels = tuple(int(channel) for channel in file["channels"])
                 flaws = Flaws((len(rows), arrival_s.shape[1]), table)
-                return SoundArrivals(str(file["mode"]), rows, arrival_s, file["std_s"], flaws, file["quality"])
+                return SoundArrivals(
+                    str(file["mode"]), rows, channels, arrival_s, file["std_s"], flaws, file["quality"]
+                )
         except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile):
             return None
 
@@ -72,6 +75,7 @@ class ArrivalCache:
             key=np.array(self._key(mode)),
             mode=np.array(sound.mode),
             rows=sound.rows,
+            channels=np.array(sound.channels, dtype=np.int32),
             arrival_s=sound.arrival_s,
             std_s=sound.std_s,
             quality=sound.quality,

@@ -176,7 +176,7 @@ def _view(
     scaled = output / np.maximum(np.abs(output).max(axis=1, keepdims=True), 1e-30)
     verdict = [_verdict(sound.flaws.of_arrival(row, column)) for column in range(len(samples))]
     std_us = 1e6 * sound.std_s[row]
-    return View(title, session.channels, time_ms, samples, lag_ms, scaled, chosen_ms, std_us, verdict)
+    return View(title, sound.channels, time_ms, samples, lag_ms, scaled, chosen_ms, std_us, verdict)
 
 
 def _verdict(flaws: list[Flaw]) -> str:

@@ -116,8 +116,7 @@ def _arrival_std_s(
     """Return how far arrivals (n_emissions, n_nodes) may be off, by the sound and by the buzzers' places."""
     if tdoas.sound is None:
         return None
-    recorded = description.audio.recorded_channels()
-    columns = np.array([recorded.index(channel) for channel in channels])
+    columns = np.array([tdoas.sound.channels.index(channel) for channel in channels])
     place_s = description.board.buzzer_std_m / description.medium.speed_m_s()
     return np.asarray(np.hypot(tdoas.sound.std_s[np.ix_(rows, columns)], max(place_s, LEAST_STD_S)))
 

@@ -37,6 +37,8 @@ class SoundArrivals:
         How they were measured.
     rows : (n_emissions,) integer array
         Of the session's table of emissions.
+    channels : tuple of int
+        Input channel of each microphone.
     arrival_s : (n_emissions, n_channels) array
         Since the session's first sample ("matched"), or since the mean over the channels ("gcc-phat"); NaN where
         there is none, or it was rejected.
@@ -48,6 +50,7 @@ class SoundArrivals:
 
     mode: str
     rows: RowArray
+    channels: tuple[int, ...]
     arrival_s: FloatArray
     std_s: FloatArray
     flaws: Flaws
@@ -124,7 +127,7 @@ def _kept(
 ) -> SoundArrivals:  # fmt: skip
     """Keep what was not rejected, in seconds."""
     arrival_s, std_s = (np.where(flaws.rejected, np.nan, value) / windows.sample_rate_hz for value in (place, std))
-    return SoundArrivals(mode, rows, arrival_s, std_s, flaws, quality)
+    return SoundArrivals(mode, rows, windows.channels, arrival_s, std_s, flaws, quality)
 
 
 def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundArrivals:

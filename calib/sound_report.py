@@ -16,7 +16,7 @@ def sound_report(session: Session, sound: SoundArrivals) -> dict[str, Any]:
     heard = np.isfinite(sound.arrival_s)
     channels = [
         {"channel": int(channel), "flaws": [str(flaw) for flaw in sound.flaws.of_channel(column)]}
-        for column, channel in enumerate(session.channels)
+        for column, channel in enumerate(sound.channels)
     ]
     emissions = [_emission(session, sound, row) for row in range(len(sound.rows))]
     return {
@@ -32,7 +32,7 @@ def sound_report(session: Session, sound: SoundArrivals) -> dict[str, Any]:
 def _emission(session: Session, sound: SoundArrivals, row: int) -> dict[str, Any]:
     emission = session.emissions[sound.rows[row]]
     flaws = {
-        str(flaw): [int(channel) for channel, hit in zip(session.channels, mask[row], strict=True) if hit]
+        str(flaw): [int(channel) for channel, hit in zip(sound.channels, mask[row], strict=True) if hit]
         for flaw, mask in sound.flaws.table.items()
         if flaw not in OF_CHANNELS and mask[row].any()
     }

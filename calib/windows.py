@@ -74,6 +74,7 @@ class EmissionWindows:
         self, session: Session, expected_samples: NDArray[np.integer], duration_s: float, tolerance_s: float
     ) -> None:
         self._session = session
+        self._columns = list(session.microphone_columns)
         self.sample_rate_hz = session.sample_rate_hz
         n_before = round((FLIGHT_S + tolerance_s) * self.sample_rate_hz)
         self.n_quiet = round(FLIGHT_S * self.sample_rate_hz)
@@ -84,8 +85,13 @@ class EmissionWindows:
 
     @property
     def n_channels(self) -> int:
-        """Channels of the session."""
-        return self._session.n_channels
+        """How many microphones there are."""
+        return len(self._columns)
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Input channel of each microphone."""
+        return tuple(self._session.channels[column] for column in self._columns)
 
     def held_samples(self) -> NDArray[np.int64]:
         """Return how many samples (n_emissions,) of each window come before the end of the session."""
@@ -104,7 +110,7 @@ class EmissionWindows:
         for window, first in zip(samples, self.first_samples[rows], strict=True):
             begin, end = max(int(first), 0), min(int(first) + n_wanted, self._session.n_samples)
             if begin < end:
-                window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T
+                window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T[self._columns]
         with np.errstate(invalid="ignore", over="ignore"):
             not_numbers = ~np.isfinite(samples.sum(axis=2, dtype=float))  # one such sample spoils the sum
         if not_numbers.any():

@@ -139,8 +139,8 @@ def test_mls_session_calibrates(tmp_path):
     assert result_of(tmp_path / "mls.calib.yaml")["evaluation"]["rmse_m"] < 0.003
 
 
-def test_known_reference_microphone_serves_ours_3(tmp_path):
-    audio = {"reference_microphone": {"channel": 9, "position_m": (0.05, 0.12, 0.02)}}
+def test_known_reference_microphone_serves_ours_3_and_the_sync_output_is_no_microphone(tmp_path):
+    audio = {"reference_microphone": {"channel": 9, "position_m": (0.05, 0.12, 0.02)}, "sync_channel": 10}
     path = capture_short(tmp_path, "nine", audio=audio, signal={"gap_s": 0.4})
     said = [
         run("rig-calibrate", calibrate_command, [str(path), "--method", "ours-3", "--seed", str(seed), "--overwrite"])
