@@ -48,7 +48,7 @@ def accuracy() -> None:
         methods = {
             "rig-calibrate, matched": ours(made, "matched"),
             "rig-calibrate, gcc-phat": ours(made, "gcc-phat"),
-            "compressed by the plain sweep, PHAT": compressed(made),
+            "compressed by the plain wave, PHAT": compressed(made),
             "pyroomacoustics tdoa, PHAT, 16-fold": pair_by_pair(made, phat=True),
             "pyroomacoustics tdoa, plain, 16-fold": pair_by_pair(made, phat=False),
         }
