@@ -23,6 +23,7 @@ def sound_report(session: Session, sound: SoundArrivals) -> dict[str, Any]:
         "tdoa": sound.mode,
         "n_emissions": len(sound.rows),
         "n_left_out": int((heard.sum(axis=1) < 2).sum()),
+        "quality": round(float(np.median(sound.quality)), 3),
         "arrival_std_s": float(f"{np.median(sound.std_s[heard]):.3g}"),
         "channels": [one for one in channels if one["flaws"]],
         "emissions": [one for one in emissions if one["flaws"]],
@@ -40,6 +41,7 @@ def _emission(session: Session, sound: SoundArrivals, row: int) -> dict[str, Any
         "emission": int(sound.rows[row]),
         "pose": int(emission["pose"]),
         "buzzer": int(emission["buzzer"]),
+        "quality": round(float(sound.quality[row]), 3),
         "left_out": bool(np.isfinite(sound.arrival_s[row]).sum() < 2),
         "flaws": flaws,
     }

@@ -189,5 +189,6 @@ def test_arrivals_say_what_they_are(session):
     report = sound_report(session, sound)
     assert report["tdoa"] == "matched"
     assert report["n_left_out"] == 0
+    assert report["quality"] == 1
     assert report["channels"] == report["emissions"] == []
     assert 0 < report["arrival_std_s"] < 1e-6
