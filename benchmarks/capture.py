@@ -135,7 +135,7 @@ class StreamedCamera:
         self.warnings: list[str] = []
 
     def open(self) -> str:
-        self._stream = PictureStream(lambda: self._pictures, "benchmark camera", is_live=True)
+        self._stream = PictureStream(lambda: self._pictures, "benchmark camera", is_live=True, fps=30.0)
         return "benchmark-camera 1.0"
 
     def read(self) -> Frame:
