@@ -131,8 +131,7 @@ def test_where_stamps_scatter_anyway_a_second_of_late_ones_is_no_loss():
     clock = SampleClock(RATE_HZ)
     samples, hosts_s = late_stamps(3000, mean_late_s=0.0005)
     time_s = samples / RATE_HZ
-    period_s = np.where(time_s < 20, 1.6, 2.6)  # half of it late; at first too short for a loss
-    hosts_s += 0.008 * (time_s % period_s > period_s / 2)
+    hosts_s += 0.008 * np.where(time_s < 20, time_s % 1.3 > 0.35, time_s % 2.6 > 1.3)  # at first too short for a loss
     assert not fed(clock, samples, hosts_s)
 
 
