@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from acquire.devices.base import Rig
 from acquire.devices.choose import choose_devices
@@ -24,6 +25,7 @@ from rigs import __version__
 from rigs.description import RigDescription
 from rigs.errors import SessionWriteError
 from rigs.library import FoundDescription
+from rigs.session.good_part import Watch
 from rigs.session.writer import SessionWriter
 from rigs.target import check_target
 
@@ -83,7 +85,8 @@ def capture(
         check_target(path)
         space.check()
     rig = choose_devices(description, seed=seed)
-    earlier = resume(path, rig.truth, description.capture.poses) if resumes else None
+    watch = _interruptible(screen, stop_wanted, path)
+    earlier = resume(path, rig.truth, description.capture.poses, watch) if resumes else None
     with ExitStack() as stack:
         if earlier is not None:
             stack.enter_context(earlier.writer)  # discards the copy when a device is missing
@@ -102,9 +105,10 @@ def capture(
             raise SessionWriteError(f"{error}; {saved_line(status)}") from error
         except CaptureError as error:
             level = "info" if isinstance(error, InterruptedCaptureError) else "error"
-            _end(recording, _end_state(error), level, str(error))
+            _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
             raise type(error)(f"{error}; {saved_line(status)}") from error
         _end(recording, State.FINISHED, "info", saved_line(status))
+        recording.tell("info", saved_line(status))
     return status
 
 
@@ -122,6 +126,18 @@ def _go_on(earlier: Resumption, recording: Recording, versions: dict[str, str]) 
     status.saved, status.earlier_s = earlier.recovery.n_accepted, earlier.recovery.duration_s
     for line in earlier.take_place(versions):
         recording.tell("info", line)
+
+
+def _interruptible(screen: Screen, stop_wanted: Callable[[], bool], path: Path) -> Watch:
+    """Return what shows on the screen how far a copy is, and ends it when somebody wants that."""
+
+    def watch(rows: NDArray[np.void], what: str) -> Iterator[np.void]:
+        for row in screen.watch(rows, what):
+            if stop_wanted():
+                raise InterruptedCaptureError(f"interrupted before it went on: {path} is as it was")
+            yield row
+
+    return watch
 
 
 def saved_line(status: Status) -> str:
@@ -189,5 +205,6 @@ def _end(recording: Recording, state: State, level: str, text: str) -> None:
     recording.status.state, recording.status.advice = state, ""
     if (rate := recording.clocks.store_session()) is not None:
         recording.say("info", rate)
-    recording.say(level, text)
+    recording.say("info", recording.film.in_words())
+    recording.note(level, text)
     recording.writer.close()

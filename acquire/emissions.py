@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from acquire.checks import EmissionCheck, check_emission, find_onset
 from acquire.clocks import Prediction
 from acquire.devices.base import EmissionStart
-from acquire.errors import DeviceError, DeviceLostError, DeviceRestartedError
+from acquire.errors import DeviceLostError, DeviceRestartedError, losing
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.status import State
@@ -92,7 +92,7 @@ class Emissions:
         """
         seen = self._known
         for retries_left in range(self._limits.retries, -1, -1):
-            shot = self._shoot(pose, buzzer)
+            shot = self._shoot(buzzer)
             new_faults = shot.faults - seen
             accepted = shot.problem is None and not (new_faults and retries_left)
             self._store(shot, pose, buzzer, repeat, accepted)
@@ -105,17 +105,17 @@ class Emissions:
             self._clocks.latency.forget()  # heard, but never where expected: the audio path has changed
         return None
 
-    def _shoot(self, pose: int, buzzer: int) -> Shot:
+    def _shoot(self, buzzer: int) -> Shot:
         recording, status = self._recording, self._recording.status
         status.state, losses = State.FIRING, recording.losses
         start = self._started(buzzer)
-        recording.record(self._waveform.duration_s + self._description.signal.gap_s, pose)
+        recording.record(self._waveform.duration_s + self._description.signal.gap_s)
         has_restarted = self._has_restarted()
         prediction = self._clocks.predict(start)
         if prediction is not None:
             last_s = self._clocks.latency.window_s()[1]
             wanted_s = last_s + self._waveform.duration_s + self._reach_s()
-            recording.record_until(round(prediction.sample) + self._samples(wanted_s), pose)
+            recording.record_until(round(prediction.sample) + self._samples(wanted_s))
         status.state = State.CHECKING
         if prediction is None or recording.losses > losses:
             return Shot(start, "audio was lost while it sounded")
@@ -126,21 +126,19 @@ class Emissions:
     def _started(self, buzzer: int) -> EmissionStart:
         while True:
             try:
-                return self._trigger.play(buzzer, self._waveform)
+                with losing("trigger"):
+                    return self._trigger.play(buzzer, self._waveform)
             except DeviceRestartedError as error:
                 self._reconnection.restore(DeviceLostError(str(error), "trigger"))
-            except DeviceError as error:
-                raise DeviceLostError(str(error), "trigger") from error
 
     def _has_restarted(self) -> bool:
         """Read the board's clock; where the board has restarted, nobody knows what it has played."""
         try:
-            self._clocks.store(self._trigger)
+            with losing("trigger"):
+                self._clocks.store(self._trigger)
         except DeviceRestartedError as error:
             self._reconnection.restore(DeviceLostError(str(error), "trigger"))
             return True
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "trigger") from error
         return False
 
     def _judged(self, start: EmissionStart, prediction: Prediction) -> Shot:

@@ -1,5 +1,8 @@
 """The errors of capture; every message says what is wrong, where, and what to do."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CaptureError(Exception):
     """Base of all errors of the `acquire` package; `exit_code` is what the command line returns for it."""
@@ -28,6 +31,17 @@ class DeviceLostError(DeviceError):
     def __init__(self, message: str, part: str = "") -> None:
         super().__init__(message)
         self.part = part
+
+
+@contextmanager
+def losing(part: str) -> Iterator[None]:
+    """Take any error of a device for its loss, unless it has only restarted; `part` as in `DeviceLostError`."""
+    try:
+        yield
+    except DeviceRestartedError:
+        raise
+    except DeviceError as error:
+        raise DeviceLostError(str(error), part) from error
 
 
 class DiskShortError(CaptureError):

@@ -13,7 +13,7 @@ from acquire.recording import Recording
 from acquire.resume import Resumption
 from acquire.sharpness import edge_blur_px
 from acquire.status import State
-from acquire.stillness import Sight, SpreadFrames, StillBoard
+from acquire.stillness import Sight, StillBoard
 from rigs.board import find_corners, movement_px
 from rigs.description import RigDescription
 
@@ -31,7 +31,6 @@ _ADVICE = {
 _STAND = "put it on a stand, or raise capture.still_px if only the picture's noise moves the corners"
 _SHARPEN = f"{_ADVICE[Sight.BLURRED]}, or raise capture.max_blur_px if the lens cannot do better"
 _TIMEOUT_REMEDIES = {Sight.MOVING: _STAND, Sight.SETTLING: _STAND, Sight.BLURRED: _SHARPEN}
-_FRAMES_BETWEEN = 3  # of a pose, in which the board is looked for once more
 _CHANNEL_REMEDIES = {
     "silent": "check its cable, power and mute switch; calibration cannot place it",
     "clipped": "turn its gain down",
@@ -57,9 +56,8 @@ class Poses:
         self._shots = [
             (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
         ]
-        self._pose = (
-            earlier.recovery.next_pose if earlier else 0
-        )  # counts attempts: a place that is captured again gets a number of its own
+        # counts attempts: a place that is captured again gets a number of its own
+        self._pose = earlier.recovery.next_pose if earlier else 0
         self._again = False  # the last attempt failed, so the same place is wanted
         self._silent_poses = 0
         self._earlier_px: list[FloatArray] = list(earlier.corners_px) if earlier else []  # of each good pose
@@ -119,13 +117,15 @@ class Poses:
     def _capture_pose(self, first: Frame, corners_px: FloatArray) -> bool:
         """Fire all buzzers, and return whether the pose is good; it is stored either way, an interrupted one too."""
         accepted = False
-        self._recording.keep(first, self._pose)
-        self._recording.kept = SpreadFrames(_FRAMES_BETWEEN)
+        film = self._recording.film
+        n_missing = film.n_missing
+        film.begin(first, self._pose)
         try:
             n_good = self._fire_all()
-            accepted = self._was_heard(n_good) and self._has_stayed(corners_px, self._recording.kept.frames)
+            accepted = self._was_heard(n_good) and self._has_stayed(corners_px)
+            self._note_missing(film.n_missing - n_missing)
         finally:
-            self._recording.kept = None
+            film.end()
             self._recording.writer.append_pose(
                 pose=self._pose,
                 start_host_time_s=first.host_time_s,
@@ -173,11 +173,20 @@ class Poses:
         self._recording.say("warning", f"{line}; the same place again")
         return False
 
-    def _has_stayed(self, first_px: FloatArray, between: list[Frame]) -> bool:
+    def _note_missing(self, n_frames: int) -> None:
+        if n_frames:
+            self._recording.say(
+                "warning",
+                f"{self._status.pose_label()}: {n_frames} of its frames are missing, the camera or the computer is too "
+                "slow: close other programs, give it more light or a USB port of its own",
+            )
+
+    def _has_stayed(self, first_px: FloatArray) -> bool:
         """Tell from some frames of the pose, and from one more that is stored, whether the board is where it was."""
         self._status.state = State.COMPARING
-        last = self._recording.look()
-        self._recording.keep(last, self._pose)
+        film = self._recording.film
+        between, last = film.end(), self._recording.look()
+        film.keep(last)
         for frame in (*between, last):
             corners_px = find_corners(frame.image, self._board)
             moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)

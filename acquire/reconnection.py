@@ -62,8 +62,8 @@ class Reconnection:
             except DeviceError as refusal:
                 if clock.now_s() >= end_s:
                     raise DeviceError(
-                        f"{loss}; {_NAMES[loss.part]} did not come back within {self._wait_s:g} s: {refusal}; "
-                        "when it is there again, go on with --resume"
+                        f"{_NAMES[loss.part]} did not come back within {self._wait_s:g} s, go on with --resume when it "
+                        f"is there: {refusal}"
                     ) from loss
             self._wait(loss)
 

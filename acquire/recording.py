@@ -13,25 +13,24 @@ from numpy.typing import NDArray
 from acquire.clocks import Clocks
 from acquire.devices.base import AudioBlock, Frame, Rig
 from acquire.disk import DiskSpace
-from acquire.errors import DeviceError, DeviceLostError, InterruptedCaptureError
+from acquire.errors import DeviceLostError, InterruptedCaptureError, losing
+from acquire.film import Film
 from acquire.screen import Screen
 from acquire.status import Message, Status
-from acquire.stillness import SpreadFrames
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.writer import SessionWriter
 
-STEP_S = 0.1
+_STEP_S = 0.1
 _FLUSH_S = 1.0
 _MUTE_S = 1.0  # an unplugged sound device falls silent rather than failing
 _FIRST_BLOCK_S = 2.0
 _LATE_S = 2.0  # a device that is later than that has lost the sound
-_SLOW_S = 1.0  # audio that waited longer than this tells of a slow disk
 _COMPLAIN_S = 30.0
 
 
 class Recording:
-    """Audio without a break, pictures where they are wanted, and log lines.
+    """Audio without a break, the film of each pose, and log lines.
 
     Parameters
     ----------
@@ -44,6 +43,13 @@ class Recording:
         Kept up to date; the screen shows it.
     stop_wanted : callable
         True once somebody wants the capture to end.
+
+    Attributes
+    ----------
+    clocks : Clocks
+    film : Film
+    losses : int
+        How often audio was lost so far.
     """
 
     def __init__(
@@ -59,23 +65,25 @@ class Recording:
         self.losses = 0
         self._screen, self._stop_wanted = screen, stop_wanted
         self._sample_rate_hz = float(description.audio.sample_rate_hz)
-        self._frame_interval_s = description.capture.frame_interval_s
         signal = description.signal
         self._keep_samples = round((2 * signal.gap_s + signal.waveform().duration_s + 3) * self._sample_rate_hz)
-        self.clocks = Clocks(writer, description)
+        self.clocks, self.film = Clocks(writer, description), Film(rig.camera, writer, description)
         self._disk = DiskSpace(Path(status.file), description)
         self._blocks: deque[tuple[int, NDArray[np.float32]]] = deque()
         now_s = rig.clock.now_s()
         self._start_s = self._flushed_s = now_s
         self._heard_s, self._mute_s = now_s, _FIRST_BLOCK_S
-        self._frame_due_s = self._seen_s = self._complained_s = float("-inf")
+        self._complained_s = float("-inf")
         self._is_gap = self._is_excused = False
-        self.kept: SpreadFrames | None = None  # where somebody wants to look at some of the frames again
 
     def say(self, level: str, text: str) -> None:
-        """Tell the operator, and store it in the log; `level` is "info" or "warning"."""
-        self.writer.append_log(self.rig.clock.now_s(), level, text)
+        """Tell the operator, and store it in the log; `level` is "info", "warning" or "error"."""
+        self.note(level, text)
         self.tell(level, text)
+
+    def note(self, level: str, text: str) -> None:
+        """Store it in the log only."""
+        self.writer.append_log(self.rig.clock.now_s(), level, text)
 
     def tell(self, level: str, text: str) -> None:
         """Tell the operator only."""
@@ -84,81 +92,60 @@ class Recording:
         self._screen.say(message)
 
     def listen(self) -> None:
-        """Store the audio that has come in.
+        """Store the audio that has come in, and within a pose the frames.
 
         Raises
         ------
         DeviceLostError
-            The sound device failed or fell silent.
+            The sound device failed or fell silent, or the camera is lost.
         DiskShortError
             The disk is nearly full.
         InterruptedCaptureError
             Somebody wants the capture to end.
         """
-        try:
+        with losing("audio"):
             blocks = self.rig.audio.read()
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "audio") from error
         for block in blocks:
             self._store(block)
         self._note_backlog(blocks)
         self._check_mute()
+        self._watch()
         self._go_on()
 
     def idle(self, duration_s: float) -> None:
         """Let time pass without a sound device. Raises as `listen` does, but for the sound device."""
         self.rig.clock.sleep_s(duration_s)
+        self._watch()
         self._go_on()
 
     def reopened(self, part: str) -> None:
         """Take note that a device was lost and is open again: "trigger", "audio" or "camera"."""
         self._is_excused = True  # opening takes seconds, in which audio waits
-        self._seen_s = float("-inf")
         if part == "audio":
             self._is_gap = True
             self._heard_s, self._mute_s = self.rig.clock.now_s(), _FIRST_BLOCK_S
 
     def look(self) -> Frame:
         """Return the camera's next frame. Raises DeviceLostError, and as `listen` does."""
-        try:
+        with losing("camera"):
             frame = self.rig.camera.read()
-        except DeviceError as error:
-            raise DeviceLostError(str(error), "camera") from error
-        if frame.host_time_s <= self._seen_s:
-            raise DeviceLostError("camera: it gives the same picture again and again: check its cable", "camera")
-        self._seen_s = frame.host_time_s
         self.listen()
         return frame
 
-    def keep(self, frame: Frame, pose: int) -> None:
-        """Store a frame; the next is due an interval after this one was, so that waiting for it does not add up."""
-        interval_s = self._frame_interval_s
-        self._frame_due_s = max(self._frame_due_s, frame.host_time_s - interval_s / 2) + interval_s
-        if self.kept is not None:
-            self.kept.add(frame)
-        self.writer.append_frame(frame.image, host_time_s=frame.host_time_s, pose=pose)
-
-    def record(self, duration_s: float, pose: int | None = None) -> None:
-        """Let time pass, storing audio and, within a pose, now and then a frame.
-
-        Raises as `listen` and `look` do.
-        """
+    def record(self, duration_s: float) -> None:
+        """Let time pass, storing what comes in. Raises as `listen` does."""
         end_s = self.rig.clock.now_s() + duration_s
         while (left_s := end_s - self.rig.clock.now_s()) > 1e-6:
-            due_in_s = self._frame_due_s - self.rig.clock.now_s() if pose is not None else left_s
-            if pose is not None and due_in_s <= 1e-6:
-                self.keep(self.look(), pose)
-            else:
-                self.rig.clock.sleep_s(min(STEP_S, left_s, due_in_s))
-                self.listen()
+            self.rig.clock.sleep_s(min(_STEP_S, left_s))
+            self.listen()
 
-    def record_until(self, sample: int, pose: int) -> None:
+    def record_until(self, sample: int) -> None:
         """Record until a row of the recording is in, which comes later than its time, and nothing is in doubt."""
         end_s = self.rig.clock.now_s() + _LATE_S
         while self.writer.n_samples < sample or self.clocks.is_in_doubt:
             if self.rig.clock.now_s() > end_s:
                 return
-            self.record(STEP_S, pose)
+            self.record(_STEP_S)
 
     def samples(self, first_sample: int, end_sample: int) -> tuple[int, NDArray[np.float32]]:
         """Return what is still at hand of rows `first_sample` to `end_sample`, and the row where it begins."""
@@ -173,6 +160,11 @@ class Recording:
         """Bring everything recorded so far safely into the file."""
         self.writer.flush()
         self._flushed_s = self.rig.clock.now_s()
+
+    def _watch(self) -> None:
+        """Store the frames that have come in, within a pose."""
+        with losing("camera"):
+            self.film.store()
 
     def _store(self, block: AudioBlock) -> None:
         if not len(block.samples):
@@ -211,7 +203,7 @@ class Recording:
         self.status.backlog_s = waited_s
         now_s, excused = self.rig.clock.now_s(), self._is_excused
         self._is_excused = False
-        if waited_s > _SLOW_S and not excused and now_s - self._complained_s > _COMPLAIN_S:
+        if self.status.is_behind and not excused and now_s - self._complained_s > _COMPLAIN_S:
             self._complained_s = now_s
             self.say(
                 "warning",

@@ -15,8 +15,9 @@ from rigs.description import RigDescription
 from rigs.errors import RigError, SessionError
 from rigs.library import FoundDescription
 from rigs.session import layout, picture
+from rigs.session.good_part import Recovery, Watch, copy, unwatched
 from rigs.session.layout import Truth
-from rigs.session.recover import Recovery, check_room, copied_header, copy
+from rigs.session.recover import check_room, copied_header
 from rigs.session.wreck import Wreck
 from rigs.session.writer import SessionWriter
 
@@ -51,7 +52,7 @@ class Resumption:
     recovery : Recovery
         What the copy holds.
     corners_px : list of (n_corners, 2) arrays
-        Of the board at each good pose, as far as it is found in the picture that began it.
+        Of the board at each good pose, as far as a picture of it is left.
     """
 
     writer: SessionWriter
@@ -101,7 +102,7 @@ def look_into(path: Path, named: FoundDescription | None, seed: int | None) -> E
         return Earlier(found, old if seed is None else seed)
 
 
-def resume(path: Path, truth: Truth | None, n_poses: int) -> Resumption:
+def resume(path: Path, truth: Truth | None, n_poses: int, watch: Watch = unwatched) -> Resumption:
     """Copy a session to a hidden file beside it, ready to be appended to; the session itself is not touched.
 
     Parameters
@@ -111,6 +112,8 @@ def resume(path: Path, truth: Truth | None, n_poses: int) -> Resumption:
         Of the simulated rig that goes on.
     n_poses : int
         How many good poses are wanted in all.
+    watch : callable
+        As in `rigs.session.recover.recover`.
 
     Raises
     ------
@@ -127,7 +130,8 @@ def resume(path: Path, truth: Truth | None, n_poses: int) -> Resumption:
         header = replace(copied_header(wreck), recovered="", truth=_joined(truth, wreck.header.truth, path))
         writer = SessionWriter.begin(path, header, wreck.n_channels)
         try:
-            return Resumption(writer, copy(wreck, writer), _good_corners_px(wreck))
+            recovery = copy(wreck, writer, watch)
+            return Resumption(writer, recovery, _good_corners_px(wreck, recovery.n_accepted))
         except BaseException:
             writer.discard()
             raise
@@ -144,14 +148,14 @@ def _joined(new: Truth | None, old: Truth | None, path: Path) -> Truth | None:
     return new if len(new.board_to_camera) >= len(old.board_to_camera) else old
 
 
-def _good_corners_px(wreck: Wreck) -> list[FloatArray]:
+def _good_corners_px(wreck: Wreck, n_good: int) -> list[FloatArray]:
+    """Return where the board was at the poses that still count: the first so many of those that did."""
     frames, poses = wreck.tables[layout.CAMERA_FRAMES], wreck.tables[layout.POSES]
     corners_px = []
-    for pose in poses["pose"][poses["accepted"] != 0]:
-        for frame in frames[frames["pose"] == pose][:1]:
-            found = _corners_px(wreck, frame)
-            if found is not None:
-                corners_px.append(found)
+    for pose in poses["pose"][poses["accepted"] != 0][:n_good]:
+        found = (_corners_px(wreck, frame) for frame in frames[frames["pose"] == pose])
+        if (first := next((each for each in found if each is not None), None)) is not None:
+            corners_px.append(first)
     return corners_px
 
 

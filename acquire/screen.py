@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
+from rich.progress import Progress
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -17,7 +21,6 @@ from acquire.bar import Bar
 from acquire.status import QUIET_DBFS, Message, State, Status
 
 _REFRESH_S = 0.1
-_BEHIND_S = 1.0
 _HOT_DBFS, _CLIPPED_DBFS = -6.0, -0.1
 _METER_WIDTH = 38
 _LINES_BESIDE_METERS = 16
@@ -34,6 +37,9 @@ class Screen(Protocol):
 
     def say(self, message: Message) -> None:
         """Show something that happened."""
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on, one after another, and show how far that is."""
 
 
 class PlainScreen:
@@ -58,6 +64,10 @@ class PlainScreen:
         mark = "" if message.level == "info" else f"{message.level}: "
         with suppress(SystemExit):  # rich's answer to a broken pipe
             self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on, and show nothing."""
+        return rows
 
 
 class LiveScreen:
@@ -89,6 +99,16 @@ class LiveScreen:
     def say(self, message: Message) -> None:
         """Redraw soon; the status holds the message."""
         self._drawn_s = float("-inf")
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on behind a bar, until there is a status to show."""
+        progress = Progress(console=self._console, auto_refresh=False)
+        for row in progress.track(rows, description=what):
+            if time.monotonic() - self._drawn_s >= _REFRESH_S:
+                self._live.update(progress, refresh=True)
+                self._drawn_s = time.monotonic()
+            yield row
+        self._live.update("", refresh=True)
 
     def _draw(self, status: Status) -> None:
         size = self._console.size
@@ -139,7 +159,7 @@ def _header(status: Status, width: int) -> Table:
     grid.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
     grid.add_column(no_wrap=True, justify="right")
     title = Text.assemble(("rig-capture", "bold"), f"  {status.rig} ", ("to", "dim"), f" {status.file}")
-    behind = Text(f"{status.backlog_s:.1f} s behind  ", style="yellow") if status.backlog_s > _BEHIND_S else Text("")
+    behind = Text(f"{status.backlog_s:.1f} s behind  ", style="yellow") if status.is_behind else Text("")
     state = Text(f"{status.state.value}  ", style=_ENDS.get(status.state, "cyan"))
     grid.add_row(title, behind + state + Text(_clock_time(status.time_s)))
     return grid

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 QUIET_DBFS = -90.0
 _FALL_DB_PER_S = 30.0
+_BEHIND_S = 1.0  # audio that waited longer than this tells of a slow disk
 
 
 class State(StrEnum):
@@ -82,6 +83,11 @@ class Status:
         peak = np.nan_to_num(np.abs(samples).max(axis=0, initial=0.0)).astype(float)
         peak_dbfs = 20 * np.log10(np.maximum(peak, 10 ** (QUIET_DBFS / 20)))
         self.level_dbfs = np.maximum(peak_dbfs, self.level_dbfs - _FALL_DB_PER_S * duration_s)
+
+    @property
+    def is_behind(self) -> bool:
+        """Audio waits longer than it should before it is stored."""
+        return self.backlog_s > _BEHIND_S
 
     def pose_label(self) -> str:
         """Return which pose is being captured, counted from 1."""

@@ -8,7 +8,6 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.devices.base import Frame
 from rigs.board import movement_px
 from rigs.description import Capture
 
@@ -65,29 +64,3 @@ class StillBoard:
             self._still_since = (host_time_s, corners_px)
             return Sight.MOVING
         return Sight.STILL if host_time_s - since_s >= self._limits.still_s else Sight.SETTLING
-
-
-class SpreadFrames:
-    """A few of the frames that come in, spread over all of them, however many they are.
-
-    Parameters
-    ----------
-    most : int
-        How many are held at most.
-
-    Attributes
-    ----------
-    frames : list of Frame
-    """
-
-    def __init__(self, most: int) -> None:
-        self.frames: list[Frame] = []
-        self._most, self._every, self._n_seen = most, 1, 0
-
-    def add(self, frame: Frame) -> None:
-        """Hold the frame, or not; where there are too many, every other one is let go."""
-        if self._n_seen % self._every == 0:
-            self.frames.append(frame)
-        if len(self.frames) > self._most:
-            self.frames, self._every = self.frames[::2], 2 * self._every
-        self._n_seen += 1

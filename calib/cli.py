@@ -10,7 +10,10 @@ import click
 from rigs.command import run
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from calib.methods import Method
+    from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 
@@ -27,6 +30,19 @@ METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result file [default: SESSION.calib.yaml].")
 @click.option("--overwrite", is_flag=True, help="Replace the result file if it is there.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of random first guesses.")
+@click.option(
+    "--tdoa",
+    type=click.Choice(("auto", "matched", "gcc-phat")),
+    default="auto",
+    show_default=True,
+    help="How arrivals are measured: matched to the known waveform, or by GCC-PHAT, which needs to know none.",
+)
+@click.option(
+    "--inspect-tdoa",
+    type=click.IntRange(0),
+    metavar="EMISSION",
+    help="Plot this emission (numbered from 0) with its correlations, and do nothing else. -o may name a .png or .svg.",
+)
 @click.option("--reference", type=int, metavar="CHANNEL", help="Reference microphone of ours-1 [default: the first].")
 @click.option(
     "--exclude-channel", type=int, multiple=True, metavar="CHANNEL", help="Leave a microphone out (may be repeated)."
@@ -38,6 +54,8 @@ def command(
     output: Path | None,
     overwrite: bool,
     seed: int,
+    tdoa: TdoaMode,
+    inspect_tdoa: int | None,
     reference: int | None,
     exclude_channel: tuple[int, ...],
 ) -> None:
@@ -54,14 +72,28 @@ def command(
     from calib.screen import show
     from rigs.session.reader import Session
 
-    target = output or session.with_suffix(".calib.yaml")
     console = Console()
+    if inspect_tdoa is not None:
+        _inspect(session, inspect_tdoa, tdoa, output, console)
+        return
+    target = output or session.with_suffix(".calib.yaml")
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
-        settings = Settings(method, seed, reference, exclude_channel)
+        settings = Settings(method, seed, reference, exclude_channel, tdoa)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
+
+
+def _inspect(path: Path, number: int, tdoa: TdoaMode, output: Path | None, console: Console) -> None:
+    from calib.inspection import draw, inspect, plot_path, show_view
+    from rigs.session.reader import Session
+
+    with Session.open(path) as opened, console.status("listening"):
+        target = plot_path(path, number, output)
+        view = inspect(opened, number, tdoa)
+        draw(view, target)
+    show_view(view, target, console)
 
 
 def main() -> int:

@@ -14,6 +14,7 @@ from calib.emissions import EmissionTdoas
 from calib.errors import MethodError, NotConvergedError, NotEnoughDataError
 from calib.problem import Estimate, TdoaProblem
 from calib.solve import Solution, SpeedPrior, refine_joint, robust_sigma, solve_joint
+from calib.sound import TdoaMode
 from calib.start import find_start
 from rigs.description import RigDescription
 
@@ -24,6 +25,7 @@ Method = Literal["joint", "ours-1", "ours-2", "ours-3"]
 # Norm of the last step, as published (arXiv 2502.06196 and its authors' code).
 STEP_THRESHOLDS_M = {"ours-1": 1e-3, "ours-2": 1e-4, "ours-3": 1e-3}
 MIN_TDOAS = 12
+LEAST_STD_S = 1e-8  # of an arrival: corners and poses are no better than that
 MAX_REACH_M = 20.0  # a microphone further off is a fit at infinity
 
 
@@ -40,12 +42,15 @@ class Settings:
         Input channel of the reference microphone of ours-1; None: the first.
     excluded_channels : tuple of int
         Input channels to leave out.
+    tdoa : {"auto", "matched", "gcc-phat"}
+        How arrivals are measured in the sound.
     """
 
     method: Method = "joint"
     seed: int = 0
     reference_channel: int | None = None
     excluded_channels: tuple[int, ...] = ()
+    tdoa: TdoaMode = "auto"
 
 
 def microphone_channels(description: RigDescription, settings: Settings) -> tuple[int, ...]:
@@ -99,7 +104,21 @@ def make_problem(description: RigDescription, view: View, tdoas: EmissionTdoas, 
         pairs=np.array([[number[int(i)], number[int(j)]] for i, j in tdoas.pairs[columns]], dtype=np.int32),
         n_mics=len(channels),
         known_m=np.array([] if reference is None else reference.position_m, dtype=float).reshape(-1, 3),
+        arrival_std_s=_arrival_std_s(description, tdoas, channels + known, rows)
+        if settings.method == "joint"
+        else None,
     )
+
+
+def _arrival_std_s(
+    description: RigDescription, tdoas: EmissionTdoas, channels: tuple[int, ...], rows: NDArray[np.intp]
+) -> FloatArray | None:
+    """Return how far arrivals (n_emissions, n_nodes) may be off, by the sound and by the buzzers' places."""
+    if tdoas.sound is None:
+        return None
+    columns = np.array([tdoas.sound.channels.index(channel) for channel in channels])
+    place_s = description.board.buzzer_std_m / description.medium.speed_m_s()
+    return np.asarray(np.hypot(tdoas.sound.std_s[np.ix_(rows, columns)], max(place_s, LEAST_STD_S)))
 
 
 def check_heard(problem: TdoaProblem, channels: tuple[int, ...]) -> None:
@@ -144,7 +163,7 @@ def refit(problem: TdoaProblem, solution: Solution, used: NDArray[np.bool_], set
           prior: SpeedPrior) -> Estimate:  # fmt: skip
     """Solve a slightly different problem again, from a solution and with its choice of TDOAs."""
     if settings.method == "joint":
-        return refine_joint(problem, solution.estimate, used, solution.robust_sigma_s, prior)
+        return refine_joint(problem, solution.estimate, used, solution.scale, prior)
     start = Estimate(solution.estimate.microphones_m, prior.mean_m_s)
     return gauss_newton(problem, start, STEP_THRESHOLDS_M[settings.method]).estimate
 
@@ -183,4 +202,5 @@ def _chosen_pairs(
 
 def _least_squares_solution(problem: TdoaProblem, estimate: Estimate) -> Solution:
     residuals_s = problem.residuals(estimate)
-    return Solution(estimate, residuals_s, problem.present, robust_sigma(residuals_s))
+    sigma_s = robust_sigma(residuals_s)
+    return Solution(estimate, residuals_s, problem.present, sigma_s, sigma_s)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.cache import ArrivalCache
 from calib.corners import find_pose_corners
 from calib.doubts import fit_doubts, session_doubts, speed_doubts, spread_doubts, view_doubts
 from calib.emissions import measure_tdoas
@@ -15,6 +16,7 @@ from calib.measurements import Measurements
 from calib.methods import Settings, check_heard, microphone_channels, solve, speed_prior
 from calib.result import Calibration, Residual
 from calib.solve import Solution
+from calib.sound_report import sound_report
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +35,9 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
     tell("finding the board in the pictures")
     corners = find_pose_corners(session)
     tell("measuring arrivals in the sound")
-    measured = Measurements(description, corners, measure_tdoas(session), settings)
+    session_sha256 = session.sha256()
+    tdoas = measure_tdoas(session, settings.tdoa, ArrivalCache(session.path, session_sha256))
+    measured = Measurements(description, corners, tdoas, settings)
     check_heard(measured.problem, channels)
     tell("solving")
     solution = solve(measured.problem, description, settings)
@@ -42,7 +46,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
     covariance_m2 = np.array([covariance[mic : mic + 3, mic : mic + 3] for mic in range(0, 3 * len(channels), 3)])
     return Calibration(
         session_name=session.name,
-        session_sha256=session.sha256(),
+        session_sha256=session_sha256,
         method=settings.method,
         channels=channels,
         positions_m=solution.estimate.microphones_m,
@@ -52,6 +56,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         view=measured.view,
         residual=_residual(solution),
         evaluation=_evaluation(session, channels, solution),
+        sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
         warnings=[
             *session_doubts(session),
             *measured.corners.warnings,

@@ -72,6 +72,9 @@ class TdoaProblem:
         Number of unknown microphones.
     known_m : (n_known, 3) array
         Places of known microphones, camera frame.
+    arrival_std_s : (n_emissions, n_mics + n_known) array or None
+        Standard deviations of the arrivals whose differences all pairs of TDOAs are; NaN where there is no arrival.
+        None: TDOAs measured pair by pair, all alike.
     """
 
     sources_m: FloatArray
@@ -80,6 +83,7 @@ class TdoaProblem:
     pairs: IntArray
     n_mics: int
     known_m: FloatArray
+    arrival_std_s: FloatArray | None = None
 
     @cached_property
     def incidence(self) -> FloatArray:
@@ -94,10 +98,44 @@ class TdoaProblem:
         """Which TDOAs (n_emissions, n_pairs) are there."""
         return np.isfinite(self.tdoa_s)
 
+    @cached_property
+    def tdoa_std_s(self) -> FloatArray:
+        """Stated standard deviations (n_emissions, n_pairs) of the TDOAs; 1 where none are stated."""
+        if self.arrival_std_s is None:
+            return np.ones_like(self.tdoa_s)
+        variance = self.arrival_std_s[:, self.pairs[:, 0]] ** 2 + self.arrival_std_s[:, self.pairs[:, 1]] ** 2
+        return np.where(self.present, np.sqrt(variance), 1.0)
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """Weights (n_emissions, n_pairs) with which pairs add up to what is known.
+
+        Of arrivals with weights w the pair (i, j) has w_i w_j / sum(w): the sum of squares over all pairs is then that
+        of the arrivals about their weighted mean. Of TDOAs measured pair by pair each has weight 1.
+        """
+        if self.arrival_std_s is None:
+            return self.present.astype(float)
+        weights = np.nan_to_num(1 / self.arrival_std_s**2)
+        total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+        pairs = weights[:, self.pairs[:, 0]] * weights[:, self.pairs[:, 1]] / total
+        return np.where(self.present, pairs, 0.0)
+
+    @property
+    def overcount(self) -> float:
+        """How many times over the weighted pairs say the same: n/2 for all pairs of n arrivals, each of weight 1."""
+        if self.arrival_std_s is not None:
+            return 1.0
+        return float(max(len(self.pairs) / (self.incidence.shape[1] - 1), 1.0))
+
     def only(self, emissions: NDArray[np.bool_]) -> TdoaProblem:
         """Return the problem of some of the emissions (n_emissions,)."""
+        std_s = self.arrival_std_s
         return replace(
-            self, sources_m=self.sources_m[emissions], pose=self.pose[emissions], tdoa_s=self.tdoa_s[emissions]
+            self,
+            sources_m=self.sources_m[emissions],
+            pose=self.pose[emissions],
+            tdoa_s=self.tdoa_s[emissions],
+            arrival_std_s=None if std_s is None else std_s[emissions],
         )
 
     def distances(self, estimate: Estimate) -> tuple[FloatArray, FloatArray]:

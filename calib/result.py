@@ -56,6 +56,8 @@ class Calibration:
     residual : Residual
     evaluation : Evaluation or None
     warnings : list of str
+    sound : dict or None
+        What was heard and what was wrong with it, in plain values; None where TDOAs were not measured in sound.
     """
 
     session_name: str
@@ -70,6 +72,7 @@ class Calibration:
     residual: Residual
     evaluation: Evaluation | None
     warnings: list[str]
+    sound: dict[str, Any] | None = None
 
     @property
     def std_m(self) -> FloatArray:
@@ -116,6 +119,8 @@ def as_document(result: Calibration) -> dict[str, Any]:
         "warnings": list(result.warnings),
         "session": {"name": result.session_name, "sha256": result.session_sha256},
     }
+    if result.sound is not None:
+        document["sound"] = result.sound
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
     return document

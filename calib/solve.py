@@ -41,12 +41,15 @@ class Solution:
         Which TDOAs the estimate rests on.
     robust_sigma_s : float
         1.4826 times the median absolute residual of all TDOAs.
+    scale : float
+        The same of the residuals over their stated standard deviations; `robust_sigma_s` where none are stated.
     """
 
     estimate: Estimate
     residuals_s: FloatArray
     used: NDArray[np.bool_]
     robust_sigma_s: float
+    scale: float
 
     @property
     def rms_s(self) -> float:
@@ -62,32 +65,33 @@ def solve_joint(problem: TdoaProblem, start: Estimate, prior: SpeedPrior) -> Sol
     NotConvergedError
         Levenberg-Marquardt ran out of iterations.
     """
-    weights = problem.present.astype(float)
-    estimate = levenberg_marquardt(problem, start, weights, prior)
-    sigma_s = robust_sigma(problem.residuals(estimate))
+    estimate = levenberg_marquardt(problem, start, problem.information, prior)
+    scale = _scale(problem, estimate)
     for _ in range(MAX_ROUNDS):
-        weights = _cauchy_weights(problem.residuals(estimate), sigma_s)
-        estimate = levenberg_marquardt(problem, estimate, weights / sigma_s**2, prior)
-        previous_s, sigma_s = sigma_s, robust_sigma(problem.residuals(estimate))
-        if abs(sigma_s - previous_s) < 1e-3 * sigma_s:
+        robust = _cauchy_weights(problem.residuals(estimate) / problem.tdoa_std_s, scale)
+        estimate = levenberg_marquardt(problem, estimate, problem.information * robust / scale**2, prior)
+        previous, scale = scale, _scale(problem, estimate)
+        if abs(scale - previous) < 1e-3 * scale:
             break
-    return _without_outliers(problem, estimate, sigma_s, prior)
+    return _without_outliers(problem, estimate, scale, prior)
 
 
-def _without_outliers(problem: TdoaProblem, estimate: Estimate, sigma_s: float, prior: SpeedPrior) -> Solution:
+def _without_outliers(problem: TdoaProblem, estimate: Estimate, scale: float, prior: SpeedPrior) -> Solution:
     used = np.zeros_like(problem.present)
     for _ in range(MAX_ROUNDS):
-        inliers = np.abs(np.nan_to_num(problem.residuals(estimate), nan=np.inf)) < REJECT_SIGMAS * sigma_s
+        deviations = np.abs(problem.residuals(estimate) / problem.tdoa_std_s)
+        inliers = np.nan_to_num(deviations, nan=np.inf) < REJECT_SIGMAS * scale
         if np.array_equal(inliers, used):
             break
         used = inliers
-        estimate = refine_joint(problem, estimate, used, sigma_s, prior)
-        sigma_s = robust_sigma(problem.residuals(estimate))
-    return Solution(estimate, problem.residuals(estimate), used, sigma_s)
+        estimate = refine_joint(problem, estimate, used, scale, prior)
+        scale = _scale(problem, estimate)
+    residuals_s = problem.residuals(estimate)
+    return Solution(estimate, residuals_s, used, robust_sigma(residuals_s), scale)
 
 
 def refine_joint(
-    problem: TdoaProblem, start: Estimate, used: NDArray[np.bool_], sigma_s: float, prior: SpeedPrior
+    problem: TdoaProblem, start: Estimate, used: NDArray[np.bool_], scale: float, prior: SpeedPrior
 ) -> Estimate:
     """Solve again near an estimate, on TDOAs already chosen (n_emissions, n_pairs).
 
@@ -96,7 +100,7 @@ def refine_joint(
     NotConvergedError
         Levenberg-Marquardt ran out of iterations.
     """
-    return levenberg_marquardt(problem, start, used / sigma_s**2, prior)
+    return levenberg_marquardt(problem, start, used * problem.information / scale**2, prior)
 
 
 def levenberg_marquardt(problem: TdoaProblem, start: Estimate, weights: FloatArray, prior: SpeedPrior) -> Estimate:
@@ -140,8 +144,12 @@ def robust_sigma(residuals_s: FloatArray) -> float:
     return max(float(1.4826 * np.median(np.abs(residuals_s[np.isfinite(residuals_s)]))), MIN_SIGMA_S)
 
 
-def _cauchy_weights(residuals_s: FloatArray, sigma_s: float) -> FloatArray:
-    return np.asarray(1 / (1 + (np.nan_to_num(residuals_s) / (CAUCHY_WIDTH * sigma_s)) ** 2))
+def _scale(problem: TdoaProblem, estimate: Estimate) -> float:
+    return robust_sigma(problem.residuals(estimate) / problem.tdoa_std_s)
+
+
+def _cauchy_weights(residuals: FloatArray, scale: float) -> FloatArray:
+    return np.asarray(1 / (1 + (np.nan_to_num(residuals) / (CAUCHY_WIDTH * scale)) ** 2))
 
 
 def _damped_step(equations: NormalEquations, damping: float) -> FloatArray:
@@ -153,11 +161,10 @@ def _damped_step(equations: NormalEquations, damping: float) -> FloatArray:
 def _with_prior(problem: TdoaProblem, estimate: Estimate, weights: FloatArray, prior: SpeedPrior) -> NormalEquations:
     """Add the prior of the speed of sound to the TDOAs' normal equations.
 
-    The n(n-1)/2 pairs of n arrivals say one thing n/2 times over, so the prior counts n/2 times as well.
+    Where pairs say one thing several times over, the prior counts as many times.
     """
     equations = problem.normal_equations(estimate, weights)
-    overcount = max(len(problem.pairs) / (problem.incidence.shape[1] - 1), 1.0)
-    information = overcount / max(prior.std_m_s, 1e-9) ** 2
+    information = problem.overcount / max(prior.std_m_s, 1e-9) ** 2
     deviation = prior.mean_m_s - estimate.speed_of_sound_m_s
     equations.hessian[-1, -1] += information
     equations.gradient[-1] += information * deviation

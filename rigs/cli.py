@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -40,9 +41,14 @@ def recover(file: Path, output: Path) -> None:
 
     Exit code: 0 good, 2 wrong usage, 3 the disk is full, 5 nothing can be recovered.
     """
+    from rich.console import Console
+    from rich.progress import track
+
     from rigs.session.recover import recover as recover_session
 
-    recovery = recover_session(file, output)
+    console = Console(stderr=True)
+    watch = partial(track, console=console, transient=True, disable=not console.is_terminal)
+    recovery = recover_session(file, output, watch)
     click.echo(f"kept     {recovery.kept()}")
     for line in recovery.dropped or ["nothing"]:
         click.echo(f"dropped  {line}")

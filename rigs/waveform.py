@@ -66,9 +66,49 @@ class Waveform:
             wave += np.where(harmonic * frequency_hz < 0.45 * sample_rate_hz, np.sin(harmonic * phase) / harmonic, 0.0)
         return np.asarray(4 / np.pi * wave)
 
+    def edges(self) -> tuple[FloatArray, FloatArray]:
+        """Return when the wave changes level and by how much; it rests low before and after.
+
+        Returns
+        -------
+        time_s : (n_edges,) array
+            Since the start.
+        step : (n_edges,) array
+            +1 where the level rises, -1 where it falls.
+        """
+        time_s = self._chip_edges_s() if self.kind == "mls" else self._half_periods_s()
+        if len(time_s) % 2:
+            time_s = np.append(time_s, self.duration_s)
+        return time_s, np.where(np.arange(len(time_s)) % 2 == 0, 1.0, -1.0)
+
+    def spectrum(self, n_samples: int, sample_rate_hz: float) -> NDArray[np.complex128]:
+        """Return the discrete spectrum (n_samples // 2 + 1,) of the wave, made of its edges: free of aliases.
+
+        An edge of height h at time t adds h exp(-2 pi i f t) / (2 pi i f); there is nothing at zero frequency.
+        """
+        time_s, step = self.edges()
+        turn = -2j * np.pi * sample_rate_hz / n_samples * time_s
+        n_bins, n_fine = n_samples // 2 + 1, 64  # bins in two digits: few exponentials, one matrix product
+        coarse = np.exp(np.arange(0, n_bins, n_fine)[:, None] * turn) * step
+        total = (coarse @ np.exp(np.arange(n_fine)[:, None] * turn).T).ravel()[:n_bins]
+        spectrum = np.zeros(n_bins, dtype=complex)
+        spectrum[1:] = total[1:] * n_samples / (2j * np.pi * np.arange(1, n_bins))
+        return spectrum
+
     def band_hz(self) -> tuple[float, float]:
         """Return the band (low, high) in hertz that holds the wave's fundamental."""
         return min(self.start_hz, self.stop_hz), max(self.start_hz, self.stop_hz)
+
+    def _half_periods_s(self) -> FloatArray:
+        """Return the times at which the phase f0 t + r t^2 / 2 is k/2, k = 0, 1, ..., within the duration."""
+        rate = (self.stop_hz - self.start_hz) / self.duration_s
+        half_periods = round((self.start_hz + self.stop_hz) * self.duration_s, 9)
+        k = np.arange(int(np.ceil(half_periods)))
+        return np.asarray(k / (self.start_hz + np.sqrt(self.start_hz**2 + rate * k)))
+
+    def _chip_edges_s(self) -> FloatArray:
+        levels = np.concatenate([[0], mls_bits(self.order), [0]])
+        return np.asarray(np.flatnonzero(np.diff(levels)) / self.chip_rate_hz)
 
 
 def mls_bits(order: int) -> NDArray[np.int8]:

@@ -13,34 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from rigs.errors import SessionError
+from rigs.session.journal import journal_path
+from rigs.session.reader import Session
+
 HERE = Path(__file__).parent
 SESSION, JOURNAL, MARKER = range(3)
 WRITE, TRUNCATE, SYNC_BEGINS, SYNC_DONE = range(1, 5)
 _ENTRY = np.dtype([("operation", "u1"), ("file", "u1"), ("unused", "<u2"), ("length", "<u4"), ("offset", "<i8")])
-
-WRITER = """
-import json, sys, time
-from pathlib import Path
-sys.path.insert(0, {tests!r})
-from rigs.session import durability
-durability.SYNC_INTERVAL_S = 0.01  # many syncs in little time
-from example_sessions import BUZZER, TRUTH, new_session, picture, samples
-with open({folder!r} + "/crash.marker", "wb", buffering=0) as marker:
-    writer = new_session(Path({folder!r}) / "crash.h5", truth=TRUTH)
-    for pose in range({n_poses}):
-        for block in range(5):
-            first = writer.append_audio(samples(5 * pose + block, 1024), host_time_s=pose + 0.1, adc_time_s=0.0)
-        writer.append_frame(picture(pose), host_time_s=pose + 0.2, pose=pose)
-        writer.append_emission(pose=pose, buzzer=BUZZER, repeat=0, waveform="sweep", board_time_s=pose + 0.3,
-            host_time_s=pose + 0.3, expected_sample=5120 * pose, accepted=True)
-        writer.append_pose(pose=pose, start_host_time_s=pose + 0.2, end_host_time_s=pose + 0.9, accepted=True)
-        if pose % 3 == 0:
-            writer.append_log(float(pose), "info", f"line {{pose}}")
-            writer.flush()
-            marker.write(json.dumps([writer.n_samples, writer.n_frames, pose + 1]).encode())
-            time.sleep(0.004)
-    writer.close()
-"""
 
 
 def build_shim(folder: Path) -> Path:
@@ -53,9 +33,10 @@ def build_shim(folder: Path) -> Path:
 
 def logged_session(folder: Path, n_poses: int) -> list[Event]:
     """Record a session with the real writer and return all it did to the disk."""
-    code = WRITER.format(tests=str(HERE), folder=str(folder), n_poses=n_poses)
     environment = os.environ | {"LD_PRELOAD": str(build_shim(folder)), "RIG_SHIM_LOG": str(folder / "log")}
-    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+    subprocess.run(
+        [sys.executable, str(HERE / "logged_writer.py"), str(folder), str(n_poses)], check=True, env=environment
+    )
     return list(_events((folder / "log").read_bytes()))
 
 
@@ -127,6 +108,7 @@ def apply(content: bytearray, event: Event) -> None:
 class Image:
     """A power loss: both files, and what the writer had flushed before the last sync that was done."""
 
+    name: str
     session: bytes
     journal: bytes
     n_samples: int
@@ -134,29 +116,47 @@ class Image:
     n_poses: int
 
     def write(self, folder: Path) -> Path:
-        (folder / "lost.h5").write_bytes(self.session)
-        (folder / "lost.h5.journal").write_bytes(self.journal)
-        return folder / "lost.h5"
+        """Write the files into a folder of their own within `folder`, and return the session's path."""
+        path = folder / self.name / "lost.h5"
+        path.parent.mkdir()
+        path.write_bytes(self.session)
+        journal_path(path).write_bytes(self.journal)
+        return path
+
+    def complaint(self, path: Path) -> str:
+        """Say what is wrong with what is left at `path`; empty when it holds all that was synced."""
+        try:
+            with Session.open(path) as session:
+                bad = session.verify()
+                kept = (session.n_samples, len(session.frames), int(np.count_nonzero(session.poses["accepted"])))
+        except SessionError as error:
+            return str(error)
+        wanted = (self.n_samples, self.n_frames, self.n_poses)
+        if any(has < want for has, want in zip(kept, wanted, strict=True)):
+            bad.append(f"samples, frames, good poses {kept}, synced {wanted}")
+        return f"{path}: {'; '.join(bad)}" if bad else ""
 
 
 def power_losses(events: list[Event], n: int, seed: int) -> Iterator[Image]:
-    """Yield images of power losses at random events after the first flush that is promised to be safe."""
-    rng = np.random.default_rng(seed)
+    """Yield n images of power losses at random writes and syncs; an image depends on its moment and the seed only."""
+    moments = [place for place, event in enumerate(events) if event.file != MARKER and place >= len(events) // 20]
+    chosen = set(np.random.default_rng(seed).choice(moments, n, replace=False).tolist())
     disks = {SESSION: Disk(), JOURNAL: Disk()}
-    flushed, candidate, at_sync, safe = None, None, None, None
-    moments = set(rng.choice(np.arange(len(events) // 20, len(events)), n, replace=False).tolist())
+    nothing = (0, 0, 0)
+    flushed, at_sync, in_session, safe = nothing, nothing, nothing, nothing
     for place, event in enumerate(events):
         if event.file == MARKER:
-            flushed = json.loads(event.content)
+            flushed = tuple(json.loads(event.content))
             continue
         if (event.file, event.operation) == (SESSION, SYNC_BEGINS):
             at_sync = flushed
         elif (event.file, event.operation) == (SESSION, SYNC_DONE):
-            candidate = at_sync
+            in_session = at_sync
         elif (event.file, event.operation) == (JOURNAL, SYNC_DONE):
-            safe = candidate
+            safe = in_session
         disks[event.file].take(event)
-        if place in moments:
+        if place in chosen:
+            rng = np.random.default_rng([seed, place])
             unit = int(rng.choice([512, 4096]))
             images = [disks[file].after_power_loss(rng, unit) for file in (SESSION, JOURNAL)]
-            yield Image(*images, *(safe or (0, 0, 0)))
+            yield Image(f"seed-{seed}-event-{place}", *images, *safe)

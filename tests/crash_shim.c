@@ -1,5 +1,6 @@
 // Stands between a program and the disk: logs every write to a session and its journal, or kills the program at one.
-// Preloaded. RIG_SHIM_LOG names the log, none without it; shim_kill_at(n) arms the kill.
+// Preloaded. RIG_SHIM_LOG names the log, none without it; shim_kill_at(n) arms the kill;
+// shim_note adds a sync to the log that is only played.
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -47,6 +48,12 @@ static void note(int operation, int file, int64_t offset, const void *bytes, uin
     struct entry entry = {operation, file, 0, length, offset};
     syscall(SYS_write, log_file, &entry, sizeof entry);
     if (length) syscall(SYS_write, log_file, bytes, length);
+}
+
+void shim_note(int operation, int file) {
+    pthread_mutex_lock(&lock);
+    note(operation, file, 0, 0, 0);
+    pthread_mutex_unlock(&lock);
 }
 
 void shim_kill_at(long writes) { writes_left = writes; }

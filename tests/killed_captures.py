@@ -58,7 +58,8 @@ def kills(folder: Path, n: int, seed: int, poses: int = 3) -> Iterator[Kill]:
     """Kill `rig-capture` n times: half at a random write to the session or its journal, half at a random moment."""
     rng = np.random.default_rng(seed)
     rig = folder / "rig.yaml"
-    rig.write_text(rig_text(small_description(capture={"poses": poses})), encoding="utf-8")
+    description = small_description(capture={"poses": poses}, camera={"size_px": (480, 360)})
+    rig.write_text(rig_text(description), encoding="utf-8")
     environment = os.environ | {"LD_PRELOAD": str(build_shim(folder))}
     with subprocess.Popen(
         [sys.executable, str(HARNESS)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment

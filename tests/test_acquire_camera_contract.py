@@ -11,6 +11,7 @@ from simulated import make_description
 from virtual_bench.mjpeg import mjpeg_server
 
 from acquire.clock import MonotonicClock
+from acquire.devices.base import Rhythm
 from acquire.devices.camera_opencv import OpenCvCamera
 from acquire.devices.choose import choose_devices
 from acquire.errors import DeviceError
@@ -110,6 +111,64 @@ def test_frames_are_bytes_of_the_size_in_the_description(opened):
     assert image.dtype == np.uint8
 
 
+def check_rhythm(frames, since_s, interval_s):
+    """Every interval has its frame, or is counted as missing."""
+    times_s = np.array([since_s, *(frame.host_time_s for frame in frames)])
+    n_intervals = len(frames) + sum(frame.n_missing for frame in frames)
+    assert n_intervals == pytest.approx((times_s[-1] - since_s) / interval_s, abs=1)
+    assert (np.diff(times_s) > 0).all()
+
+
+def test_frames_are_collected_in_a_rhythm_while_nobody_has_time_for_them(opened):
+    camera, clock = opened
+    first = camera.read()
+    camera.collect(Rhythm(first.host_time_s, 0.2))
+    clock.sleep_s(1.0)
+    frames = camera.collected()
+    assert len(frames) >= 3
+    clock.sleep_s(0.5)
+    frames += camera.collected()
+    check_rhythm(frames, first.host_time_s, 0.2)
+    assert len({frame.image.tobytes() for frame in (first, *frames)}) == len(frames) + 1
+    assert camera.collected() == []
+
+
+def test_reading_takes_nothing_from_what_is_collected(opened):
+    camera, _ = opened
+    first = camera.read()
+    camera.collect(Rhythm(first.host_time_s, 0.1))
+    last_s = [camera.read().host_time_s for _ in range(15)][-1]
+    frames = camera.collected()
+    check_rhythm(frames, first.host_time_s, 0.1)
+    assert last_s - frames[-1].host_time_s < 0.2
+
+
+def test_no_more_is_collected_than_was_asked_for(opened):
+    camera, clock = opened
+    clock.sleep_s(0.3)
+    assert camera.collected() == []
+    camera.collect(Rhythm(clock.now_s(), 0.1))
+    clock.sleep_s(0.3)
+    camera.collect(None)
+    clock.sleep_s(0.3)
+    assert camera.collected() == []
+
+
+def test_collecting_goes_on_after_it_was_closed_and_opened_again(opened):
+    camera, clock = opened
+    camera.collect(Rhythm(clock.now_s(), 0.1))
+    camera.close()
+    camera.collected()
+    assert camera.collected() == []
+    clock.sleep_s(0.5)
+    camera.open()
+    camera.read()
+    clock.sleep_s(0.3)
+    frames = camera.collected()
+    assert frames[0].n_missing >= 4
+    assert len(frames) >= 2
+
+
 def test_it_can_be_closed_twice_and_opened_again(camera_and_clock):
     camera, _ = camera_and_clock
     camera.close()
@@ -134,6 +193,13 @@ def read_on(camera):
         camera.read()
 
 
+def collect_on(camera):
+    camera.collect(Rhythm(0.0, 0.2))
+    for _ in range(250):
+        camera.collected()
+        time.sleep(0.02)
+
+
 def lose_simulated():
     rig = choose_devices(
         make_description(camera={"size_px": SIZE_PX}, simulation={"faults": [{"kind": "camera_lost", "pose": 1}]})
@@ -141,8 +207,9 @@ def lose_simulated():
     return rig.camera, lambda: rig.operator.ask_for_pose(1)
 
 
+@pytest.mark.parametrize("go_on", [read_on, collect_on])
 @pytest.mark.parametrize("fault", ["simulated", "dropped", "stalled", "ended"])
-def test_a_lost_camera_is_told_in_time(fault, server, tmp_path):
+def test_a_lost_camera_is_told_in_time(fault, go_on, server, tmp_path):
     if fault == "simulated":
         camera, lose = lose_simulated()
     elif fault == "ended":
@@ -156,7 +223,7 @@ def test_a_lost_camera_is_told_in_time(fault, server, tmp_path):
     lose()
     lost_s = time.monotonic()
     with pytest.raises(DeviceError, match=r"check its cable|give a longer recording"):
-        read_on(camera)
+        go_on(camera)
     assert time.monotonic() - lost_s < 10
     camera.close()
 

@@ -189,10 +189,11 @@ def test_what_the_driver_refuses_is_told_and_logged(tmp_path):
     number = count()
     with mjpeg_server(lambda _: jpeg(picture(next(number)))) as server:
         camera = {"driver": "opencv", "source": server.url, "size_px": (64, 64), "fps": 30}
-        found, listener = small_rig(camera=camera), Listener()
-        with pytest.raises(DeviceError, match="no more pictures"):
+        found, listener = small_rig(camera=camera, capture={"device_wait_s": 1}), Listener()
+        with pytest.raises(DeviceError, match="the camera did not come back within 1 s"):
             capture(found, tmp_path / "s.h5", screen=DroppingScreen(listener, server.drop))
     assert LOCKED_ELSEWHERE in listener.warnings()
+    assert "no more pictures" in listener.warnings()
     with Session.open(tmp_path / "s.h5") as session:
         assert any(LOCKED_ELSEWHERE in str(line) for line in session.log)
         assert f"opencv-ffmpeg {cv2.__version__}, {server.url}, 64 x 64 at" in session.versions["camera"]

@@ -7,7 +7,8 @@ import pytest
 
 from acquire.checks import check_emission
 from acquire.devices.base import Frame
-from acquire.stillness import Sight, SpreadFrames, StillBoard
+from acquire.film import SpreadFrames
+from acquire.stillness import Sight, StillBoard
 from rigs.board import movement_px
 from rigs.description import Capture
 from rigs.waveform import Waveform

@@ -193,3 +193,12 @@ def test_the_live_display_ends_with_the_last_state(tmp_path):
     last = console.file.getvalue().rsplit("rig-capture", maxsplit=1)[1]
     assert "finished" in last
     assert "1 of 1 saved" in last
+
+
+def test_the_live_display_shows_how_far_a_copy_is():
+    console = Console(file=StringIO(), width=80, height=24, force_terminal=True, color_system=None)
+    rows = np.zeros(3, dtype=[("pose", "<i4")])
+    rows["pose"] = range(3)
+    with LiveScreen(console) as screen:
+        assert [row["pose"] for row in screen.watch(rows, "copying sound")] == [0, 1, 2]
+    assert "copying sound" in console.file.getvalue()

@@ -149,6 +149,22 @@ def test_the_real_firmware_is_named(tmp_path):
     assert hearing.heard().sum() >= 7  # a starved simulated board may cost one
 
 
+def test_a_board_that_restarts_before_it_is_to_play_is_no_lost_board(tmp_path):
+    buzzers = [{"id": number, "position_m": (0.05 * number, -0.045, 0.0)} for number in (1, 2)]
+    with running_board() as board:
+        description = small_description(
+            trigger={"driver": "serial", "port": board.port}, board={"buzzers": buzzers}, signal={"gap_s": 0.15}
+        )
+        findings = []
+        for finding in check_up(description, tmp_path, seed=0):
+            if str(finding).startswith("listening"):
+                board.reset()
+            findings.append(finding)
+    assert next(each for each in findings if isinstance(each, Hearing)).buzzers == (1, 2)
+    rows = [each for each in findings if isinstance(each, Row)]
+    assert ("trigger board", "bad") not in faults(rows)
+
+
 def test_a_foreign_firmware_is_exit_code_4(tmp_path):
     with ScriptedBoard(hello=HELLO.replace("buzzer-board", "grbl")) as board:
         rows, _ = checked(tmp_path, small_description(trigger={"driver": "serial", "port": board.port}))

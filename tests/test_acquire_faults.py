@@ -57,7 +57,10 @@ def test_a_device_that_does_not_come_back_ends_the_session_and_names_resume(tmp_
     found = small_rig(
         capture={"device_wait_s": 3}, simulation={"faults": [{"kind": kind, "pose": 1, "duration_s": 100}]}
     )
-    with pytest.raises(DeviceError, match=r"did not come back within 3 s: .* go on with --resume; 1 pose saved") as end:
+    with pytest.raises(
+        DeviceError,
+        match=r"^the .* did not come back within 3 s, go on with --resume when it is there: .*; 1 pose saved",
+    ) as end:
         captured(tmp_path / "s.h5", found)
     assert type(end.value) is DeviceError
     with Session.open(tmp_path / "s.h5") as session:
@@ -99,7 +102,7 @@ def test_a_device_that_is_lost_again_and_again_is_given_up(tmp_path):
 
 def test_a_frozen_camera_is_opened_again_and_the_pose_repeated(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("camera_frozen", pose=1))
-    assert "camera: it gives the same picture again and again" in listener.warnings()
+    assert "camera: the simulated camera is frozen: take the cap off its lens" in listener.warnings()
     with Session.open(tmp_path / "s.h5") as session:
         assert session.poses["accepted"].tolist() == [1, 0, 1]
         assert (np.diff(session.frames["host_time_s"]) > 0).all()

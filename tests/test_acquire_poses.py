@@ -28,11 +28,16 @@ class NudgedCamera:
     def __init__(self, camera, is_nudged) -> None:
         self._camera, self._is_nudged = camera, is_nudged
         self.warnings: list[str] = []
-        self.open, self.close = camera.open, camera.close
+        self.open, self.close, self.collect = camera.open, camera.close, camera.collect
 
     def read(self) -> Frame:
-        frame = self._camera.read()
-        return Frame(np.roll(frame.image, 4, axis=1), frame.host_time_s) if self._is_nudged() else frame
+        return self._nudged(self._camera.read())
+
+    def collected(self) -> list[Frame]:
+        return [self._nudged(frame) for frame in self._camera.collected()]
+
+    def _nudged(self, frame: Frame) -> Frame:
+        return replace(frame, image=np.roll(frame.image, 4, axis=1)) if self._is_nudged() else frame
 
 
 def test_a_board_that_was_moved_and_put_back_does_not_count(tmp_path, changed_rig, monkeypatch):

@@ -1,15 +1,18 @@
 """A session that ended early goes on, and whatever happens meanwhile, the old file survives."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from capturing import Listener, captured, rig_text, small_description, small_rig
 
+from acquire import capture as capturing
 from acquire.capture import capture
 from acquire.cli import cli
-from acquire.errors import DeviceError
+from acquire.errors import CaptureQualityError, DeviceError, InterruptedCaptureError
 from acquire.resume import look_into
 from rigs.command import run
 from rigs.errors import RigError, TargetError
@@ -124,6 +127,77 @@ def test_the_pose_under_way_is_stored_and_does_not_count(cut_off):
         assert session.poses[["pose", "accepted"]].tolist() == [(0, 1), (1, 0), (2, 1), (3, 1)]
         assert set(session.emissions["pose"].tolist()) == {0, 1, 2, 3}
     assert [each.name for each in cut_off.parent.iterdir()] == ["s1.h5"]
+
+
+class ComesBack:
+    """Somebody who brings the board to the same place, whatever is asked for."""
+
+    def __init__(self, operator, place):
+        self._operator, self._place = operator, place
+
+    def ask_for_pose(self, _pose):
+        self._operator.ask_for_pose(self._place)
+
+
+def at_place(place):
+    """Return a choice of devices with such an operator."""
+    choose_devices = capturing.choose_devices
+
+    def choose(*args, **keys):
+        rig = choose_devices(*args, **keys)
+        return replace(rig, operator=ComesBack(rig.operator, place))
+
+    return choose
+
+
+@pytest.fixture(scope="module")
+def two_hasty_poses(tmp_path_factory):
+    path = tmp_path_factory.mktemp("hasty") / "s1.h5"
+    captured(path, small_rig(capture={"poses": 2, "pose_timeout_s": 4}), seed=5)
+    return path
+
+
+@pytest.fixture
+def impatient(two_hasty_poses, tmp_path):
+    """Return a session of two poses, whose rig waits no longer than 4 s for the third."""
+    return Path(shutil.copy(two_hasty_poses, tmp_path / "s1.h5"))
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_every_place_from_before_is_known(impatient, place, monkeypatch):
+    monkeypatch.setattr(capturing, "choose_devices", at_place(place))
+    with pytest.raises(CaptureQualityError, match="where it was before: move the board to a place"):
+        resumed(impatient, poses=3)
+
+
+def test_a_place_is_known_by_any_of_its_pictures(impatient, monkeypatch):
+    with Session.open(impatient) as session:
+        first = session.frames[session.frames["pose"] == 0][0]
+    with h5py.File(impatient, "r+") as file:
+        del file[layout.CHECKSUMS]
+        file[layout.CAMERA_STREAM][first["offset"] + first["length"] // 2] ^= 255
+    monkeypatch.setattr(capturing, "choose_devices", at_place(0))
+    with pytest.raises(CaptureQualityError, match="where it was before"):
+        resumed(impatient, poses=3)
+
+
+def test_a_place_whose_pose_no_longer_counts_may_be_captured_again(impatient, monkeypatch):
+    with h5py.File(impatient, "r+") as file:
+        del file[layout.CHECKSUMS]
+        emissions = file[layout.EMISSIONS][:]
+        file[layout.TIME_DATA][emissions["expected_sample"][emissions["pose"] == 1].min() :] = 0
+    monkeypatch.setattr(capturing, "choose_devices", at_place(1))
+    with pytest.raises(CaptureQualityError, match=r"pose 3 of 3: .*where it was before"):
+        resumed(impatient, poses=3)
+    with Session.open(impatient) as session:
+        assert session.poses["accepted"].tolist() == [1, 0, 1]
+
+
+def test_ctrl_c_while_copying_leaves_the_old_file(path):
+    content = path.read_bytes()
+    with pytest.raises(InterruptedCaptureError, match=r"interrupted before it went on: .*s1\.h5 is as it was"):
+        resumed(path, poses=3, stop_wanted=lambda: True)
+    left_alone(path, content)
 
 
 def test_a_damaged_session_is_kept_under_another_name(cut_off):

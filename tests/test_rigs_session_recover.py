@@ -217,6 +217,56 @@ def test_a_good_session_is_copied_whole(tmp_path):
         assert (old.created_utc, old.name, old.versions) == (new.created_utc, new.name, new.versions)
 
 
+def without_checksums(path, change):
+    """Change a closed session as another program would, or an older one would have made it."""
+    with h5py.File(path, "r+") as file:
+        del file[layout.CHECKSUMS]
+        change(file)
+
+
+def test_onsets_go_with_the_emissions_that_remain(tmp_path):
+    path = write_session(tmp_path / "s.h5", n_poses=3)
+    without_checksums(path, lambda file: file[layout.EMISSIONS].resize(4, axis=0))
+    recover(path, tmp_path / "new.h5")
+    with h5py.File(path) as old, h5py.File(tmp_path / "new.h5") as new:
+        assert (len(old[layout.ONSETS]), len(new[layout.ONSETS]), len(new[layout.EMISSIONS])) == (6, 4, 4)
+        assert new[layout.ONSETS][:].tobytes() == old[layout.ONSETS][:4].tobytes()
+        for table in (layout.PINGS, layout.CLOCK_FITS):
+            assert new[table][:].tobytes() == old[table][:].tobytes()
+    with Session.open(tmp_path / "new.h5") as session:
+        assert session.verify() == []
+
+
+@pytest.mark.parametrize("n_onsets", [None, 1])
+def test_emissions_without_an_onset_have_one_that_is_not_known(tmp_path, n_onsets):
+    def lose_onsets(file):
+        if n_onsets is None:
+            del file[layout.ONSETS]
+        else:
+            file[layout.ONSETS].resize(n_onsets, axis=0)
+
+    path = write_session(tmp_path / "s.h5", n_poses=2)
+    without_checksums(path, lose_onsets)
+    recover(path, tmp_path / "new.h5")
+    with Session.open(tmp_path / "new.h5") as session:
+        assert len(session.onsets) == len(session.emissions) == 4
+        for field in session.onsets.dtype.names:
+            assert np.flatnonzero(np.isnan(session.onsets[field])).tolist() == list(range(n_onsets or 0, 4))
+        assert session.verify() == []
+
+
+def test_the_copy_shows_how_far_it_is(wreck):
+    watched = []
+
+    def watch(rows, what):
+        for row in rows:
+            watched.append(what)
+            yield row
+
+    recovery = recover(wreck, wreck.with_name("new.h5"), watch)
+    assert watched == ["copying sound"] * 21 * PER_POSE + ["copying pictures"] * recovery.n_frames
+
+
 def test_nothing_is_written_over(wreck):
     wreck.with_name("new.h5").write_text("precious")
     with pytest.raises(TargetExistsError):

@@ -26,6 +26,7 @@ def test_a_session_of_real_stacks_is_right_to_a_millimetre(tmp_path):
         say_figures(outcome.evaluation.rmse_m, offsets_s, corners_px)
         check_recording(session)
         check_against_truth(session, outcome.truth)
+    check_the_check(outcome.check)
     assert f"{POSES} poses saved" in outcome.said
     assert outcome.evaluation.rmse_m <= 0.001
     assert len(offsets_s) > 2 * POSES  # those of which capture knew beforehand when they should be heard
@@ -39,6 +40,13 @@ def say_figures(rmse_m, offsets_s, corners_px):
         f"{1e3 * np.median(offsets_s):.1f} ms after ON, 95 % within {1e3 * spread_p95_s(offsets_s):.1f} ms of that; "
         f"corners {np.median(corners_px):.3f} px"
     )
+
+
+def check_the_check(check):
+    """The check-up found every device, and heard every buzzer on every channel."""
+    assert [row for row in check["rows"] if row["state"] == "bad"] == []
+    assert np.isfinite(np.array(check["hearing"]["snr_db"], float)).all()
+    assert check["hearing"]["buzzers"] == [1, 2, 3, 4, 5, 6]
 
 
 def check_recording(session):

@@ -36,10 +36,23 @@ class AudioBlock:
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture (height, width) or (height, width, 3) of bytes, and the host monotonic time it was taken."""
+    """A picture (height, width) or (height, width, 3) of bytes, and the host monotonic time it was taken.
+
+    Where it was collected in a rhythm, `n_missing` tells how many that were due before it are missing: the camera did
+    not send them, or they waited too long to be held any longer.
+    """
 
     image: NDArray[np.uint8]
     host_time_s: float
+    n_missing: int = 0
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """One frame per interval, the first an interval after a host monotonic time."""
+
+    since_s: float
+    interval_s: float
 
 
 @dataclass(frozen=True)
@@ -156,7 +169,19 @@ class Camera(Protocol):
         """Start the camera and return the driver's name and version. Raises DeviceError."""
 
     def read(self) -> Frame:
-        """Wait for the next frame and return it; never a stale one. Raises DeviceError."""
+        """Wait for the next frame and return it; never a stale one. Raises DeviceError, also where it is frozen."""
+
+    def collect(self, rhythm: Rhythm | None) -> None:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
+
+    def collected(self) -> list[Frame]:
+        """Return the frames collected since the last call, in order, without waiting; none while it is closed.
+
+        Raises
+        ------
+        DeviceError
+            It is lost or frozen, and nothing that it sent before is left.
+        """
 
     def close(self) -> None:
         """Stop the camera; safe to call twice."""

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import cv2
 
-from acquire.devices.base import Frame
+from acquire.devices.base import Frame, Rhythm
 from acquire.devices.camera_lock import lock_controls
 from acquire.devices.camera_recorded import Paced, PictureFolder
 from acquire.devices.camera_source import CameraSource, SourceKind, camera_source
 from acquire.devices.camera_stream import Pictures, PictureStream
+from acquire.devices.frame_queue import FrameQueue
 from acquire.errors import DeviceError
 from rigs.description import Camera
 
@@ -54,6 +55,7 @@ class OpenCvCamera:
         assert description.source is not None  # the description sees to it
         self._description, self._source = description, camera_source(description.source)
         self._stream: PictureStream | None = None
+        self._queue: FrameQueue | None = None  # outlives the stream
         self._driver, self._told_fps = "", 0.0
         self._timeout_s = max(_READ_TIMEOUT_S, 3 / description.fps)
         self.warnings: list[str] = []
@@ -75,6 +77,7 @@ class OpenCvCamera:
         self.warnings = []
         fps = self._description.fps
         self._stream = PictureStream(self._start, self._source.label, is_live=self._source.is_live, fps=fps)
+        self._stream.queue = self._queue
         try:
             first = self._stream.next_frame(_FIRST_PICTURE_S)
             self._check_size(first)
@@ -96,6 +99,25 @@ class OpenCvCamera:
         if self._stream is None:
             raise DeviceError(f"{self._source.label}: the camera is not open; open it first")
         return self._stream.next_frame(self._timeout_s)
+
+    def collect(self, rhythm: Rhythm | None) -> None:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
+        self._queue = None if rhythm is None else FrameQueue(rhythm)
+        if self._stream is not None:
+            self._stream.queue = self._queue
+
+    def collected(self) -> list[Frame]:
+        """Return the frames collected since the last call; none while it is closed.
+
+        Raises
+        ------
+        DeviceError
+            The camera is lost, frozen, or sends nothing, and no frame is left; a recording has ended.
+        """
+        frames = self._queue.take() if self._queue is not None else []
+        if not frames and self._stream is not None:
+            self._stream.check(self._timeout_s)
+        return frames
 
     def close(self) -> None:
         """Stop the camera; safe to call twice."""

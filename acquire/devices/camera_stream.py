@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import Frame
 from acquire.devices.camera_backlog import Backlog, Sleep
+from acquire.devices.frame_queue import FrameQueue
 from acquire.errors import DeviceError
 
 Picture = NDArray[np.uint8]
@@ -56,9 +57,9 @@ class Repetition:
 
 
 class PictureStream:
-    """Grabs pictures in a thread of its own and hands over the newest.
+    """Grabs pictures in a thread of its own, hands over the newest, and fills a queue in its rhythm.
 
-    A picture is decoded only when somebody waits for it, or when it is time to look whether the camera is frozen.
+    A picture is decoded only when somebody wants it, or when it is time to look whether the camera is frozen.
     All calls into a driver are made in the thread: one that hangs there for ever holds up nobody else.
 
     Parameters
@@ -76,10 +77,13 @@ class PictureStream:
     ----------
     grabbed : (int, float)
         How many pictures have come in, decoded or not, and the host monotonic time of the last.
+    queue : FrameQueue or None
+        Gets every frame that is due in it.
     """
 
     def __init__(self, start: Callable[[], Pictures], label: str, *, is_live: bool, fps: float) -> None:
         self.grabbed = (0, 0.0)
+        self.queue: FrameQueue | None = None
         self._start, self._label = start, label
         self._over = _LOST if is_live else _PLAYED
         self._repetition = Repetition() if is_live else None
@@ -106,24 +110,12 @@ class PictureStream:
             self._changed.wait_for(lambda: self._end or self._frozen or self._is_newer(asked_s), timeout_s)
             if not self._end and not self._is_newer(asked_s) and self.grabbed[1] > asked_s:  # old ones come
                 self._changed.wait_for(lambda: self._end or self._is_newer(asked_s), _CATCH_UP_S - timeout_s)
-            if self._end:
-                raise DeviceError(self._end)
-            if self._frozen:
-                raise DeviceError(
-                    f"{self._label}: frozen, it has sent the same picture for {_FROZEN_S:g} s: take the cap off its "
-                    "lens, or unplug it once"
-                )
-            if not self._is_newer(asked_s) and self.grabbed[1] > asked_s:
-                raise DeviceError(
-                    f"{self._label}: its pictures come late, as this computer or the network is too slow for so many: "
-                    "close other programs, lower the camera's rate and camera.fps, or choose a smaller size"
-                )
-            if self._frame is None or not self._is_newer(asked_s):
-                raise DeviceError(
-                    f"{self._label}: no picture for {timeout_s:g} s: check its cable, its power, and that no other "
-                    "program uses it"
-                )
-            return self._frame
+            return self._newer_frame(asked_s, timeout_s)
+
+    def check(self, timeout_s: float) -> None:
+        """See that pictures come. Raises as `next_frame` does, without waiting."""
+        with self._changed:
+            self._newer_frame(time.monotonic() - timeout_s, timeout_s)
 
     def stop(self) -> None:
         """End the thread; one that hangs in a driver is left behind and lets go when the driver does."""
@@ -132,6 +124,26 @@ class PictureStream:
 
     def _is_newer(self, time_s: float) -> bool:
         return self._frame is not None and self._frame.host_time_s > time_s
+
+    def _newer_frame(self, time_s: float, timeout_s: float) -> Frame:
+        if self._end:
+            raise DeviceError(self._end)
+        if self._frozen:
+            raise DeviceError(
+                f"{self._label}: frozen, it has sent the same picture for {_FROZEN_S:g} s: take the cap off its "
+                "lens, or unplug it once"
+            )
+        if not self._is_newer(time_s) and self.grabbed[1] > time_s:
+            raise DeviceError(
+                f"{self._label}: its pictures come late, as this computer or the network is too slow for so many: "
+                "close other programs, lower the camera's rate and camera.fps, or choose a smaller size"
+            )
+        if self._frame is None or not self._is_newer(time_s):
+            raise DeviceError(
+                f"{self._label}: no picture for {timeout_s:g} s: check its cable, its power, and that no other "
+                "program uses it"
+            )
+        return self._frame
 
     def _run(self) -> None:
         try:
@@ -155,11 +167,16 @@ class PictureStream:
         self.grabbed = (self.grabbed[0] + 1, now_s)
         if self._backlog is not None and not self._backlog.is_new(now_s, sleep.slept_s()):
             return True
-        if self._wanted or now_s - self._looked_s >= _LOOK_S:
+        queue = self.queue
+        is_due = queue is not None and queue.is_due(now_s)
+        if self._wanted or is_due or now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
             good, picture = pictures.retrieve()
             if good:  # one damaged picture is no loss: the next is awaited
-                self._take(Frame(np.asarray(picture, dtype=np.uint8), now_s))
+                frame = Frame(np.asarray(picture, dtype=np.uint8), now_s)
+                self._take(frame)
+                if queue is not None and is_due:
+                    queue.put(frame)
         return True
 
     def _take(self, frame: Frame) -> None:

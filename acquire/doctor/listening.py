@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import AudioInput, ClockFit, TriggerBoard
 from acquire.doctor.devices import Devices
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceRestartedError
 from acquire.sample_clock import SampleClock
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
@@ -93,12 +93,21 @@ class Listening:
         for buzzer in self._description.board.buzzers if trigger else ():
             assert trigger is not None
             try:
-                starts_s.append(trigger.play(buzzer.id, self._waveform).host_time_s)
+                starts_s.append(self._started(trigger, buzzer.id))
             except DeviceError as error:
                 lost = error
                 break
             self._listen(self._waveform.duration_s + max(self._description.signal.gap_s, AFTER_S))
         return self._sounds(began, quiet_end, starts_s, lost)
+
+    def _started(self, trigger: TriggerBoard, buzzer: int) -> float:
+        """Fire a buzzer, and return when it began; a board that has restarted is opened again, once."""
+        try:
+            return trigger.play(buzzer, self._waveform).host_time_s
+        except DeviceRestartedError:
+            trigger.close()
+            trigger.open()
+            return trigger.play(buzzer, self._waveform).host_time_s
 
     def _sounds(self, began: int, quiet_end: int, starts_s: list[float], trigger_lost: DeviceError | None) -> Sounds:
         rows = [self._sample_clock.sample_at(start_s) for start_s in starts_s]

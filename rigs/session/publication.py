@@ -10,13 +10,19 @@ from rigs.errors import SessionWriteError, TargetError, TargetExistsError, reaso
 from rigs.session.journal import is_being_recorded, journal_path
 
 
-def hidden_path(path: Path) -> Path:
-    """Return the name, beside `path`, under which its session is made."""
-    return path.with_name(f".{path.name}.new")
+class Publication:
+    """The hidden name and the own name of a session that is made; what a killed program left at the first is cleared.
 
+    Parameters
+    ----------
+    path : Path
+        The own name.
 
-def prepare(path: Path) -> Path:
-    """Return the hidden path to make a session at, cleared of what a killed program left there.
+    Attributes
+    ----------
+    path, hidden : Path
+    is_done : bool
+        The session has its own name.
 
     Raises
     ------
@@ -25,66 +31,79 @@ def prepare(path: Path) -> Path:
     TargetExistsError
         Another program makes this very session.
     """
-    if not path.parent.is_dir():
-        raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
-    hidden = hidden_path(path)
-    if is_being_recorded(hidden):
-        raise TargetExistsError(f"{path}: another program is making this session: wait for it, or choose another name")
-    discard(hidden)
-    return hidden
 
+    def __init__(self, path: Path) -> None:
+        if not path.parent.is_dir():
+            raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
+        self.path, self.hidden, self.is_done = path, path.with_name(f".{path.name}.new"), False
+        if is_being_recorded(self.hidden):
+            raise TargetExistsError(
+                f"{path}: another program is making this session: wait for it, or choose another name"
+            )
+        self.discard()
 
-def publish(hidden: Path, path: Path) -> None:
-    """Give a session its name, unless something has it already.
+    def publish(self) -> None:
+        """Give the session its name, unless something has it already.
 
-    Raises
-    ------
-    TargetExistsError
-    """
-    refuse_existing(path)
-    try:
-        path.hardlink_to(hidden)  # fails where a rename would write over
-        hidden.unlink()
-    except FileExistsError as error:
-        raise _taken(path) from error
-    except OSError:  # no hard links on this file system
-        hidden.rename(path)
-    with suppress(FileNotFoundError):  # a closed session has none
-        journal_path(hidden).replace(journal_path(path))
-    sync_folder(path.parent)
+        Raises
+        ------
+        TargetExistsError
+        """
+        refuse_existing(self.path)
+        try:
+            self.path.hardlink_to(self.hidden)  # fails where a rename would write over
+            self.hidden.unlink()
+        except FileExistsError as error:
+            raise _taken(self.path) from error
+        except OSError:  # no hard links on this file system
+            self.hidden.rename(self.path)
+        with suppress(FileNotFoundError):  # a closed session has none
+            journal_path(self.hidden).replace(journal_path(self.path))
+        self._finish()
 
+    def replace(self, *, keep: bool) -> Path | None:
+        """Put the session, all of it on the disk, in the place of an older one.
 
-def replace(hidden: Path, path: Path, *, keep: bool) -> Path | None:
-    """Put a session, all of it on the disk, in the place of an older one.
+        Parameters
+        ----------
+        keep : bool
+            Keep the older one, and its journal, under another name.
 
-    Parameters
-    ----------
-    hidden, path : Path
-    keep : bool
-        Keep the older one, and its journal, under another name.
+        Returns
+        -------
+        Path or None
+            That other name.
 
-    Returns
-    -------
-    Path or None
-        That other name.
-    """
-    try:
-        kept = _keep(path) if keep else None
-        hidden.replace(path)
-        journal_path(hidden).replace(journal_path(path))
-    except OSError as error:
-        raise SessionWriteError(
-            f"{path}: the resumed session cannot take its place ({reason(error)}): the old one is still there"
-        ) from error
-    sync_folder(path.parent)
-    return kept
+        Raises
+        ------
+        SessionWriteError
+        """
+        try:
+            kept = _keep(self.path) if keep else None
+            self.hidden.replace(self.path)
+            journal_path(self.hidden).replace(journal_path(self.path))
+        except OSError as error:
+            raise SessionWriteError(
+                f"{self.path}: the resumed session cannot take its place ({reason(error)}): the old one is still there"
+            ) from error
+        self._finish()
+        return kept
 
+    def discard(self) -> None:
+        """Delete what has the hidden name, and its journal."""
+        for each in (self.hidden, journal_path(self.hidden)):
+            with suppress(OSError):
+                each.unlink()
 
-def discard(session: Path) -> None:
-    """Delete a session that was never published, and its journal."""
-    for each in (session, journal_path(session)):
+    def drop_journal(self) -> None:
+        """Delete the journal, once the session is closed and on the disk; one that stays behind does no harm."""
         with suppress(OSError):
-            each.unlink()
+            journal_path(self.path if self.is_done else self.hidden).unlink()
+        _sync_folder(self.path.parent)
+
+    def _finish(self) -> None:
+        self.is_done = True
+        _sync_folder(self.path.parent)
 
 
 def refuse_existing(path: Path) -> None:
@@ -93,7 +112,7 @@ def refuse_existing(path: Path) -> None:
         raise _taken(path)
 
 
-def sync_folder(folder: Path) -> None:
+def _sync_folder(folder: Path) -> None:
     """See the names in a folder onto the disk, where the system can."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)

@@ -1,61 +1,43 @@
-"""The writer of a session file: everything is laid out first, then appended to in SWMR mode."""
+"""The writer of a session file: what a capture appends to it, and when that is flushed."""
 
 from __future__ import annotations
 
 import math
-import os
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError, SessionWriteError, TargetError, reason
-from rigs.session import layers, layout, picture, publication
-from rigs.session.checksums import Checksums
-from rigs.session.durability import Durability
-from rigs.session.growing import GrowingStream, GrowingTable
-from rigs.session.journal import Arrays, chunk_rows_name, create_journal, journal_path, record
+from rigs.errors import SessionError
+from rigs.session import layout, picture
+from rigs.session.growing_file import GrowingFile
 from rigs.session.layers import Header
 from rigs.session.layout import MeasuredTdoas, Truth
+from rigs.session.publication import Publication, refuse_existing
 
-_LIBVER = ("v110", "v110")  # the oldest that knows SWMR; PyTables and MATLAB cannot read "latest"
 _FLUSH_INTERVAL_S = 0.25
 
 
 class SessionWriter:
     """Appends a recording to a new session file; make one with `create`, use it from one thread.
 
-    Whatever was flushed survives a crash of this program, and a second later a power loss too: a thread syncs the file
-    and a journal beside it. The writer flushes by itself after every quarter of a second of audio. `close` marks the
-    session complete and deletes the journal; leaving a `with` block by an exception closes the file without that mark;
-    it still reads.
+    Whatever was flushed survives a crash of this program, and half a second later a power loss too: a thread syncs the
+    file and a journal beside it. The writer flushes by itself after every quarter of a second of audio. `close` marks
+    the session complete and deletes the journal; leaving a `with` block by an exception closes the file without that
+    mark; it still reads.
     """
 
-    def __init__(self, file: h5py.File, path: Path, hidden: Path, header: Header, n_channels: int) -> None:
-        self._file, self._path, self._hidden, self._n_channels = file, path, hidden, n_channels
-        self._is_published = False
+    def __init__(self, publication: Publication, header: Header, n_channels: int) -> None:
+        self._publication, self._n_channels = publication, n_channels
+        self._file = GrowingFile(publication.path, publication.hidden, header, n_channels)
         self._next_flags = 0
-        self._failure: SessionWriteError | None = None  # once the disk refused, every later call says so
         self._flush_interval_samples = round(_FLUSH_INTERVAL_S * header.sample_rate_hz)
         self._n_flushed_samples = 0
-        self._time_data = GrowingStream(file, layout.TIME_DATA, "<f4", (n_channels,))
-        self._time_data.dataset.attrs.create("sample_freq", float(header.sample_rate_hz))
-        self._pictures = GrowingStream(file, layout.CAMERA_STREAM, np.uint8)
-        self._tables = {name: GrowingTable(file, name, dtype) for name, dtype in layout.TABLES.items()}
-        self._state = file.create_dataset(layout.STATE, data=np.array([layout.STATE_OPEN], dtype=np.uint8))
-        self._checksums = Checksums(file, layers.fixed_names(header))
-        file.swmr_mode = True
-        descriptor = file.id.get_vfd_handle()
-        os.fsync(descriptor)
-        places = {chunk_rows_name(each.name): np.array([each.chunk_rows]) for each in (self._time_data, self._pictures)}
-        journal = create_journal(journal_path(hidden), layers.journal_header(header) | places)
-        self._durability = Durability(descriptor, journal)
 
     @classmethod
     def create(
@@ -99,8 +81,8 @@ class SessionWriter:
             The folder is missing, or the file cannot be written.
         """
         header = Header(name, description_text, versions, float(sample_rate_hz), truth, corners_px, tdoas)
-        publication.refuse_existing(Path(path))
-        writer = cls.begin(path, header, n_channels)
+        refuse_existing(Path(path))
+        writer = cls.begin(Path(path), header, n_channels)
         try:
             writer.publish()
         except BaseException:
@@ -119,22 +101,16 @@ class SessionWriter:
         TargetExistsError
             Another program makes this very session.
         """
-        path = Path(path)
-        hidden = publication.prepare(path)
-        file = _create_file(path, hidden)
+        publication = Publication(path)
         try:
-            with _writing(path):
-                layers.write_header(file, header)
-                return cls(file, path, hidden, header, n_channels)
+            return cls(publication, header, n_channels)
         except BaseException:
-            _abandon(file)
-            publication.discard(hidden)
+            publication.discard()
             raise
 
     def publish(self) -> None:
         """Give the session its name; raises TargetExistsError where something has it."""
-        publication.publish(self._hidden, self._path)
-        self._is_published = True
+        self._publication.publish()
 
     def replace(self, *, keep: bool) -> Path | None:
         """Put the session in the place of an older one of its name once all is on the disk.
@@ -142,19 +118,13 @@ class SessionWriter:
         Returns the other name under which the older one is kept, where `keep` asks for it.
         """
         self.flush()
-        with self._appending():
-            self._durability.settle()
-        kept = publication.replace(self._hidden, self._path, keep=keep)
-        self._is_published = True
-        return kept
+        self._file.settle()
+        return self._publication.replace(keep=keep)
 
     def discard(self) -> None:
         """Delete a session that was never published."""
-        with suppress(OSError, RuntimeError):
-            self._file.close()
-        with suppress(OSError):
-            self._durability.close()
-        publication.discard(self._hidden)
+        self._file.let_go()
+        self._publication.discard()
 
     def mark_resumed(self) -> None:
         """Flag the next block of audio: a later run begins there."""
@@ -182,15 +152,15 @@ class SessionWriter:
         """
         if samples.ndim != 2 or samples.shape[1] != self._n_channels:
             raise SessionError(
-                f"{self._path}: audio of shape {samples.shape} does not fit a session of {self._n_channels} channels"
+                f"{self._publication.path}: audio of shape {samples.shape} does not fit a session of "
+                f"{self._n_channels} channels"
             )
         rows = np.ascontiguousarray(samples, dtype="<f4")
         flags, self._next_flags = flags | self._next_flags, 0
-        with self._appending():
-            first = self._time_data.append(rows)
-            self._tables[layout.AUDIO_BLOCKS].append(
-                first, len(rows), host_time_s, adc_time_s, flags, zlib.crc32(rows.data)
-            )
+        first = self._file.append_rows(layout.TIME_DATA, rows)
+        self._file.append_record(
+            layout.AUDIO_BLOCKS, first, len(rows), host_time_s, adc_time_s, flags, zlib.crc32(rows.data)
+        )
         if self.n_samples - self._n_flushed_samples >= self._flush_interval_samples:
             self.flush()
         return first
@@ -207,9 +177,8 @@ class SessionWriter:
 
     def append_png(self, png: NDArray[np.uint8], *, host_time_s: float, pose: int) -> int:
         """Append a picture that is PNG bytes (n,) already, and return its index."""
-        with self._appending():
-            offset = self._pictures.append(png)
-            return self._tables[layout.CAMERA_FRAMES].append(offset, len(png), host_time_s, pose, zlib.crc32(png.data))
+        offset = self._file.append_rows(layout.CAMERA_STREAM, png)
+        return self._file.append_record(layout.CAMERA_FRAMES, offset, len(png), host_time_s, pose, zlib.crc32(png.data))
 
     def append_emission(
         self,
@@ -229,16 +198,14 @@ class SessionWriter:
     ) -> None:
         """Append what was played; the fields are those of `layout.EMISSION` and `layout.ONSET`."""
         label = _cut(waveform, layout.EMISSION["waveform"].itemsize)
-        with self._appending():
-            self._tables[layout.ONSETS].append(predicted_sample, predicted_std_s, measured_sample, latency_s)
-            self._tables[layout.EMISSIONS].append(
-                pose, buzzer, repeat, label, board_time_s, host_time_s, expected_sample, bool(accepted)
-            )
+        self._file.append_record(layout.ONSETS, predicted_sample, predicted_std_s, measured_sample, latency_s)
+        self._file.append_record(
+            layout.EMISSIONS, pose, buzzer, repeat, label, board_time_s, host_time_s, expected_sample, bool(accepted)
+        )
 
     def append_ping(self, *, earliest_host_time_s: float, latest_host_time_s: float, board_time_s: float) -> None:
         """Append a reading of the trigger board's clock; the fields are those of `layout.PING`."""
-        with self._appending():
-            self._tables[layout.PINGS].append(earliest_host_time_s, latest_host_time_s, board_time_s)
+        self._file.append_record(layout.PINGS, earliest_host_time_s, latest_host_time_s, board_time_s)
 
     def append_clock_fit(
         self,
@@ -253,39 +220,35 @@ class SessionWriter:
         n_readings: int,
     ) -> None:
         """Append a line from a device's clock to the host's; the fields are those of `layout.CLOCK_FIT`."""
-        with self._appending():
-            self._tables[layout.CLOCK_FITS].append(
-                clock, since_host_time_s, host_time_s, reading, rate, rate_std, std_s, n_readings
-            )
+        self._file.append_record(
+            layout.CLOCK_FITS, clock, since_host_time_s, host_time_s, reading, rate, rate_std, std_s, n_readings
+        )
 
     def append_pose(self, *, pose: int, start_host_time_s: float, end_host_time_s: float, accepted: bool) -> None:
         """Append a board position that is done with; the fields are those of `layout.POSE`."""
-        with self._appending():
-            self._tables[layout.POSES].append(pose, start_host_time_s, end_host_time_s, bool(accepted))
+        self._file.append_record(layout.POSES, pose, start_host_time_s, end_host_time_s, bool(accepted))
 
     def append_log(self, host_time_s: float, level: str, text: str) -> None:
         """Append a log line; text of more than 240 bytes is cut, level ("info", "warning", "error") at 8 bytes."""
         line = layout.LOG_LINE
-        with self._appending():
-            self._tables[layout.LOG].append(
-                host_time_s, _cut(level, line["level"].itemsize), _cut(text, line["text"].itemsize)
-            )
+        self._file.append_record(
+            layout.LOG, host_time_s, _cut(level, line["level"].itemsize), _cut(text, line["text"].itemsize)
+        )
 
     def extend(self, tables: Mapping[str, NDArray[np.void]]) -> None:
         """Append rows of another session's tables, by name, as they are."""
-        with self._appending():
-            for name, rows in tables.items():
-                self._tables[name].extend(rows)
+        for name, rows in tables.items():
+            self._file.extend(name, rows)
 
     @property
     def n_samples(self) -> int:
         """Samples appended so far, per channel."""
-        return self._time_data.n_rows
+        return self._file.n_rows(layout.TIME_DATA)
 
     @property
     def n_frames(self) -> int:
         """Pictures appended so far."""
-        return self._tables[layout.CAMERA_FRAMES].n_rows
+        return self._file.n_rows(layout.CAMERA_FRAMES)
 
     def flush(self) -> None:
         """Hand everything to the operating system: from here on it survives a crash of this program.
@@ -295,11 +258,7 @@ class SessionWriter:
         SessionError
             The file cannot be written.
         """
-        with self._appending():
-            news: Arrays = {stream.name: stream.flush() for stream in (self._time_data, self._pictures)}
-            news |= {name: table.flush() for name, table in self._tables.items()}
-            if news := {name: rows for name, rows in news.items() if len(rows)}:
-                self._durability.submit(record(news))
+        self._file.flush()
         self._n_flushed_samples = self.n_samples
 
     def close(self) -> None:
@@ -321,66 +280,14 @@ class SessionWriter:
         else:
             with suppress(SessionError):  # the error under way says more
                 self._close(layout.STATE_OPEN)
-            if not self._is_published:
+            if not self._publication.is_done:
                 self.discard()
 
     def _close(self, state: int) -> None:
-        if not self._file:
+        if not self._file.is_open:
             return
-        self.flush()
-        with self._appending():
-            self._durability.finish()
-            self._checksums.finish(self._tables.values())
-            self._state[0] = state
-            self._file.flush()
-            self._file.close()
-            self._durability.close()
-            here = self._path if self._is_published else self._hidden
-            journal_path(here).unlink(missing_ok=True)  # all is on the disk, in a closed file
-            publication.sync_folder(here.parent)
-
-    @contextmanager
-    def _appending(self) -> Iterator[None]:
-        if self._failure is not None:
-            raise self._failure
-        if not self._file:
-            raise SessionError(f"{self._path}: this session is closed; nothing can be added to it")
-        try:
-            with _writing(self._path):
-                yield
-        except SessionWriteError as failure:
-            self._failure = failure
-            _abandon(self._file)
-            with suppress(OSError):
-                self._durability.close()
-            raise
-
-
-def _create_file(path: Path, hidden: Path) -> h5py.File:
-    try:
-        return h5py.File(hidden, "x", libver=_LIBVER)
-    except (OSError, ValueError) as error:
-        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        raise SessionWriteError(
-            f"{path}: cannot be written ({reason(error)}): free some space or use another disk; "
-            "what was flushed before is kept"
-        ) from error
-
-
-def _abandon(file: h5py.File) -> None:
-    """Leave the file on the disk as it was last flushed; HDF5 crashes when it cannot write what it still holds."""
-    with suppress(OSError, RuntimeError, ValueError):
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        os.dup2(nowhere, file.id.get_vfd_handle())
-        os.close(nowhere)
-        file.close()
+        self._file.close(state)
+        self._publication.drop_journal()
 
 
 def _cut(text: str, n_bytes: int) -> bytes:

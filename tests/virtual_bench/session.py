@@ -1,14 +1,17 @@
-"""A session at the virtual bench as a user captures and calibrates it, and what came of it."""
+"""A session at the virtual bench as a user checks, captures and calibrates it, and what came of it."""
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -38,12 +41,15 @@ class Outcome:
         The calibrated microphones against the true ones.
     said : str
         What capture and calibration told the user.
+    check : dict
+        What rig-check said before, as JSON.
     """
 
     session_path: Path
     truth: BenchTruth
     evaluation: Evaluation
     said: str
+    check: dict[str, Any]
 
 
 @contextmanager
@@ -65,7 +71,7 @@ def bench_program(folder: Path, *options: str) -> Iterator[dict[str, str]]:
 
 
 def captured_and_calibrated(folder: Path, poses: int, seed: int = 0) -> Outcome:
-    """Capture a session at a bench of its own, calibrate it, and compare with the truth.
+    """Check a bench of its own, capture a session at it, calibrate it, and compare with the truth since the check.
 
     Parameters
     ----------
@@ -77,12 +83,15 @@ def captured_and_calibrated(folder: Path, poses: int, seed: int = 0) -> Outcome:
     """
     path = folder / "s1.h5"
     with bench_program(folder, "--seed", str(seed)) as environment:
+        check = json.loads(_run("rig-check", "--json", "--rig", folder / RIG_FILE, env=environment))
+        began_s = time.monotonic()
         said = _run("rig-capture", "--session", path, "--rig", folder / RIG_FILE, "--poses", poses, env=environment)
     said += _run("rig-calibrate", path, env=dict(os.environ))
     truth = read_truth(folder)
+    truth = replace(truth, emissions=[emission for emission in truth.emissions if emission.on_s > began_s])
     result = yaml.safe_load(path.with_suffix(".calib.yaml").read_text())
     positions_m = np.array([microphone["position_m"] for microphone in result["microphones"]])
-    return Outcome(path, truth, evaluate(positions_m, truth.microphones_m, "virtual bench"), said)
+    return Outcome(path, truth, evaluate(positions_m, truth.microphones_m, "virtual bench"), said, check)
 
 
 def onset_offsets_s(session: Session) -> NDArray[np.float64]:

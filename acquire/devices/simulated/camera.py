@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.devices.base import Frame
+from acquire.devices.base import Frame, Rhythm
+from acquire.devices.frame_queue import FrameQueue
 from acquire.devices.simulated.draws import draws
 from acquire.devices.simulated.flaws import flawed_picture
 from acquire.devices.simulated.picture import Painter
@@ -28,15 +29,15 @@ class SimulatedCamera:
         self._noise = self._drawn_noise()
         self.warnings: list[str] = []
         self._start_s: float | None = None
-        self._frozen: Frame | None = None
+        self._number = 0  # of the newest frame that was taken or passed over
+        self._queue: FrameQueue | None = None
         self._painted: tuple[Pose, NDArray[np.float32]] | None = None
 
     def open(self) -> str:
         """Start the camera and return the driver's name and version. Raises DeviceError while it is unplugged."""
         if self._stage.is_out("camera_lost"):
             raise DeviceError("camera: there is no simulated camera: plug it in")
-        self._frozen = None
-        self._start_s = self._stage.clock.now_s()
+        self._start_s, self._number = self._stage.clock.now_s(), 0
         return "simulated-camera 1.0"
 
     def read(self) -> Frame:
@@ -45,28 +46,57 @@ class SimulatedCamera:
         Raises
         ------
         DeviceError
-            The camera is not open, or lost.
+            The camera is not open, lost, or frozen.
         """
+        start_s, clock = self._checked_start_s(), self._stage.clock
+        self._collect_until(self._n_taken(start_s), start_s)
+        taken_s = start_s + (self._n_taken(start_s) + 1) / self._fps
+        clock.sleep_s(taken_s - clock.now_s())
+        self._collect_until(self._n_taken(start_s), start_s)
+        return self._frame(self._number, taken_s)
+
+    def collect(self, rhythm: Rhythm | None) -> None:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
+        self._queue = None if rhythm is None else FrameQueue(rhythm)
+
+    def collected(self) -> list[Frame]:
+        """Return the frames of the virtual time that has passed; none while it is closed. Raises as `read` does."""
+        if self._start_s is not None:
+            start_s = self._checked_start_s()
+            self._collect_until(self._n_taken(start_s), start_s)
+        return self._queue.take() if self._queue is not None else []
+
+    def close(self) -> None:
+        """Stop the camera; safe to call twice."""
+        self._start_s = None
+
+    def _checked_start_s(self) -> float:
         if self._stage.is_out("camera_lost"):
             self._start_s = None
             raise DeviceError("camera: the simulated camera is gone: check its cable")
         if self._start_s is None:
             raise DeviceError("camera: the simulated camera is not open; open it first")
-        clock = self._stage.clock
-        number = int(np.floor((clock.now_s() - self._start_s) * self._fps + 1e-6)) + 1
-        taken_s = self._start_s + number / self._fps
-        clock.sleep_s(taken_s - clock.now_s())
+        if self._stage.happens("camera_frozen"):
+            raise DeviceError("camera: the simulated camera is frozen: take the cap off its lens, or unplug it once")
+        return self._start_s
+
+    def _n_taken(self, start_s: float) -> int:
+        """Return how many frames the camera has taken by now."""
+        return int(np.floor((self._stage.clock.now_s() - start_s) * self._fps + 1e-6))
+
+    def _collect_until(self, number: int, start_s: float) -> None:
+        """Queue what is due of the frames up to this one."""
+        while self._number < number:
+            self._number += 1
+            taken_s = start_s + self._number / self._fps
+            if self._queue is not None and self._queue.is_due(taken_s):
+                self._queue.put(self._frame(self._number, taken_s))
+
+    def _frame(self, number: int, taken_s: float) -> Frame:
         rng = draws(self._stage.scene.seed, "frame", number)
         image = cv2.add(self._clean(taken_s), self._shifted_noise(rng), dtype=cv2.CV_8U)  # rounds and saturates
         stamp_s = taken_s + _STAMP_JITTER_S * abs(float(rng.standard_normal()))
-        frame = Frame(np.asarray(image, np.uint8), stamp_s)
-        if self._stage.happens("camera_frozen"):
-            self._frozen = frame
-        return self._frozen or frame
-
-    def close(self) -> None:
-        """Stop the camera; safe to call twice."""
-        self._start_s = None
+        return Frame(np.asarray(image, np.uint8), stamp_s)
 
     def _drawn_noise(self) -> NDArray[np.float32]:
         """Draw noise for more than a picture: cut out elsewhere for each frame it is as good as new and faster."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.waveform import Waveform, mls_bits
+from rigs.waveform import Waveform
 
 FloatArray = NDArray[np.float64]
 TICK_S = 0.5e-6  # of the timer: 16 MHz / 8
@@ -21,21 +21,5 @@ def pin_edges(waveform: Waveform) -> tuple[FloatArray, FloatArray]:
     step : (n_edges,) array
         +1 where the level rises, -1 where it falls.
     """
-    time_s = _chip_edges_s(waveform) if waveform.kind == "mls" else _half_periods_s(waveform)
-    if len(time_s) % 2:
-        time_s = np.append(time_s, waveform.duration_s)
-    step = np.where(np.arange(len(time_s)) % 2 == 0, 1.0, -1.0)
+    time_s, step = waveform.edges()
     return np.rint(time_s / TICK_S) * TICK_S, step
-
-
-def _half_periods_s(waveform: Waveform) -> FloatArray:
-    """Return the times at which the phase f0 t + r t^2 / 2 is k/2, k = 0, 1, ..., within the duration."""
-    rate = (waveform.stop_hz - waveform.start_hz) / waveform.duration_s
-    half_periods = round((waveform.start_hz + waveform.stop_hz) * waveform.duration_s, 9)
-    k = np.arange(int(np.ceil(half_periods)))
-    return np.asarray(k / (waveform.start_hz + np.sqrt(waveform.start_hz**2 + rate * k)))
-
-
-def _chip_edges_s(waveform: Waveform) -> FloatArray:
-    levels = np.concatenate([[0], mls_bits(waveform.order), [0]])
-    return np.asarray(np.flatnonzero(np.diff(levels)) / waveform.chip_rate_hz)

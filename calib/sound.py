@@ -1,0 +1,155 @@
+"""Arrivals in a session's sound, each with its standard deviation, and what is wrong with those that have none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.background import listen
+from calib.consistency import agree
+from calib.errors import NotEnoughDataError
+from calib.flaws import Flaw, Flaws
+from calib.gcc import PairCorrelator, candidates_of
+from calib.receptions import SILENT_RMS, Listener, find_flaws
+from calib.windows import EmissionWindows
+from rigs.session.reader import Session
+from rigs.waveform import Waveform
+
+FloatArray = NDArray[np.float64]
+RowArray = NDArray[np.intp]
+
+TdoaMode = Literal["auto", "matched", "gcc-phat"]
+
+LOUD_RATIO = 1.5  # of an emission's samples over the background: it was heard
+MIN_QUALITY = 0.5  # of an emission's pairs must agree
+
+
+@dataclass(frozen=True)
+class SoundArrivals:
+    """Arrivals of some emissions.
+
+    Parameters
+    ----------
+    mode : {"matched", "gcc-phat"}
+        How they were measured.
+    rows : (n_emissions,) integer array
+        Of the session's table of emissions.
+    channels : tuple of int
+        Input channel of each microphone.
+    arrival_s : (n_emissions, n_channels) array
+        Since the session's first sample ("matched"), or since the mean over the channels ("gcc-phat"); NaN where
+        there is none, or it was rejected.
+    std_s : (n_emissions, n_channels) array
+    flaws : Flaws
+    quality : (n_emissions,) array
+        Share of the channels ("matched") or pairs ("gcc-phat") that agree on one source.
+    """
+
+    mode: str
+    rows: RowArray
+    channels: tuple[int, ...]
+    arrival_s: FloatArray
+    std_s: FloatArray
+    flaws: Flaws
+    quality: FloatArray
+
+
+def find_arrivals(session: Session, rows: RowArray, mode: TdoaMode) -> SoundArrivals:
+    """Find the arrivals of some emissions (n,) of a session.
+
+    Raises
+    ------
+    NotEnoughDataError
+        The waveform is a steady tone, or most emissions played something else than the rig description says.
+    """
+    waveform = session.description.signal.waveform()
+    if waveform.kind == "tone":
+        raise NotEnoughDataError(
+            "a steady tone leaves arrivals ambiguous by whole periods, so no TDOA is measured in it: capture again "
+            "with signal.kind sweep or mls in the rig description"
+        )
+    wrong = wrong_labels(session, rows, waveform)
+    matched = mode == "matched" or (mode == "auto" and wrong.mean() <= 0.5)
+    return _matched(session, rows, waveform, wrong) if matched else _correlated(session, rows, waveform)
+
+
+def wrong_labels(session: Session, rows: RowArray, waveform: Waveform) -> NDArray[np.bool_]:
+    """Tell which emissions (n,) played something else than a waveform."""
+    return np.array(
+        [label.decode(errors="replace") != waveform.label() for label in session.emissions["waveform"][rows]]
+    )
+
+
+def windows_of(session: Session, rows: RowArray, waveform: Waveform) -> EmissionWindows:
+    """Return the windows of some emissions (n,)."""
+    tolerance_s = session.description.capture.onset_tolerance_s
+    return EmissionWindows(session, session.emissions["expected_sample"][rows], waveform.duration_s, tolerance_s)
+
+
+def listener_of(
+    session: Session, rows: RowArray, waveform: Waveform, wrong: NDArray[np.bool_]
+) -> tuple[EmissionWindows, Listener]:
+    """Return windows of some emissions (n,), and a listener that has learnt from them.
+
+    Raises
+    ------
+    NotEnoughDataError
+        All emissions played something else.
+    """
+    if wrong.all():
+        played = {label.decode(errors="replace") for label in session.emissions["waveform"][rows]}
+        raise NotEnoughDataError(
+            f"the buzzers played {', '.join(sorted(played))}, the rig description says {waveform.label()}: capture "
+            "again with one signal, or measure with --tdoa gcc-phat, which needs to know none"
+        )
+    windows = windows_of(session, rows, waveform)
+    max_tdoa_s = session.description.calibration.max_tdoa_s
+    usable = ~wrong & (windows.held_samples() == windows.n_samples) & (windows.first_samples >= 0)
+    usable = usable if usable.any() else ~wrong
+    return windows, Listener(windows, session.emissions["buzzer"][rows], waveform, max_tdoa_s, usable)
+
+
+def _matched(session: Session, rows: RowArray, waveform: Waveform, wrong: NDArray[np.bool_]) -> SoundArrivals:
+    windows, listener = listener_of(session, rows, waveform, wrong)
+    receptions = listener.hear(session.description.capture.clip_level)
+    max_tdoa_samples = session.description.calibration.max_tdoa_s * session.sample_rate_hz
+    flaws = find_flaws(receptions, listener, windows, wrong, max_tdoa_samples)
+    place = receptions.peaks.place_samples + windows.first_samples[:, None]
+    return _kept("matched", rows, windows, place, receptions.peaks.std_samples, flaws, (~flaws.rejected).mean(axis=1))
+
+
+def _kept(
+    mode: str, rows: RowArray, windows: EmissionWindows, place: FloatArray, std: FloatArray, flaws: Flaws,
+    quality: FloatArray,
+) -> SoundArrivals:  # fmt: skip
+    """Keep what was not rejected, in seconds."""
+    arrival_s, std_s = (np.where(flaws.rejected, np.nan, value) / windows.sample_rate_hz for value in (place, std))
+    return SoundArrivals(mode, rows, windows.channels, arrival_s, std_s, flaws, quality)
+
+
+def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundArrivals:
+    windows = windows_of(session, rows, waveform)
+    background = listen(windows, np.arange(len(rows)))
+    max_lag = session.description.calibration.max_tdoa_s * session.sample_rate_hz
+    correlator = PairCorrelator(windows.n_samples, background.power, max_lag)
+    shape = (len(rows), windows.n_channels)
+    place, std, quality = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(len(rows))
+    flaws, loud = Flaws(shape), np.zeros(shape, dtype=bool)
+    clipped, not_numbers = np.zeros((2, *shape), dtype=bool)
+    pairs = correlator.pairs(windows.n_channels)
+    for sound in windows.batches(np.arange(len(rows))):
+        found = agree(candidates_of(correlator, sound.samples), pairs, windows.n_channels)
+        place[sound.rows], std[sound.rows], quality[sound.rows] = found.arrivals, found.std, found.quality
+        loud[sound.rows] = sound.rms() > LOUD_RATIO * np.maximum(background.rms, SILENT_RMS)
+        clipped[sound.rows] = sound.peak() >= session.description.capture.clip_level
+        not_numbers[sound.rows] = sound.not_numbers
+    flaws.add(Flaw.CUT_OFF, (windows.held_samples() < windows.n_samples)[:, None])
+    flaws.add(Flaw.NOT_NUMBERS, not_numbers)
+    flaws.add(Flaw.NOT_HEARD, ~loud)
+    flaws.add(Flaw.NO_CONSISTENT_PATH, (quality < MIN_QUALITY)[:, None] | ~np.isfinite(place))
+    flaws.add(Flaw.CLIPPED, clipped)
+    flaws.add(Flaw.HUM, background.humming)
+    return _kept("gcc-phat", rows, windows, place, std, flaws, quality)
