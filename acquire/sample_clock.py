@@ -93,7 +93,7 @@ class SampleClock:
     @property
     def is_in_doubt(self) -> bool:
         """Blocks come late or early, and it is not yet clear whether samples were lost."""
-        return any(abs(stamp.late_s) > JUMP_S for stamp in list(self._recent)[-2:])
+        return any(abs(stamp.late_s) > self._jump_s() for stamp in list(self._recent)[-2:])
 
     def sample_at(self, host_time_s: float) -> float | None:
         """Return the row of the recording, with its fraction, taken at a host time; None before the first block."""
@@ -132,14 +132,19 @@ class SampleClock:
     def _step_s(self) -> float | None:
         """Return by how much blocks are late for a second, all but one, or early for some time, most of them."""
         last = self._last(_DOUBT_S)
-        if len(last) < _FEW or abs(last[-1].late_s) <= JUMP_S:
+        jump_s = self._jump_s()
+        if len(last) < _FEW or abs(last[-1].late_s) <= jump_s:
             return None
         lates_s = sorted(stamp.late_s for stamp in last)
         came_at_once = last[-1].host_s - last[0].host_s < _DOUBT_S / 2  # a backlog that was worked off
-        if (lates_s[1] > JUMP_S and not came_at_once) or median(lates_s) < -_BIG_JUMP_S:
+        if (lates_s[1] > jump_s and not came_at_once) or median(lates_s) < -_BIG_JUMP_S:
             return _low_quartile(lates_s)
         lately_s = sorted(stamp.late_s for stamp in self._last(_EARLY_DOUBT_S))
-        return _low_quartile(lately_s) if lately_s and median(lately_s) < -JUMP_S else None
+        return _low_quartile(lately_s) if lately_s and median(lately_s) < -jump_s else None
+
+    def _jump_s(self) -> float:
+        """Return how far blocks must be off: further than those of this device are anyway."""
+        return JUMP_S + (self._needed_line().spread_s if self._samples else 0.0)
 
     def _lasts_s(self) -> float:
         return len(self._samples) * _BIN_S

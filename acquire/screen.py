@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.progress import Progress
-from rich.progress_bar import ProgressBar
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from acquire.bar import Bar
 from acquire.status import QUIET_DBFS, Message, State, Status
 
 _REFRESH_S = 0.1
@@ -136,16 +136,21 @@ def picture(status: Status, width: int, height: int) -> RenderableType:
 
 
 class Cropped:
-    """A picture of always the same number of lines, so that nothing jumps or scrolls away."""
+    """A picture of always the same number of lines, so that nothing jumps or scrolls away.
+
+    The last is left free: the terminal writes ^C there. Behind a full line it would begin a new one, and all later
+    pictures would be a line too low, with the first one's header above them.
+    """
 
     def __init__(self, content: RenderableType, height: int) -> None:
         self._content, self._height = content, height
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         lines = console.render_lines(self._content, options.update(height=None), pad=True)
-        for line in Segment.set_shape(lines, options.max_width, self._height):
+        for line in Segment.set_shape(lines, options.max_width, self._height - 1):
             yield from line
             yield Segment.line()
+        yield Segment(" ")
 
 
 def _header(status: Status, width: int) -> Table:
@@ -167,17 +172,10 @@ def _progress(status: Status, width: int) -> Table:
     grid.add_column(width=16, no_wrap=True)
     grid.add_column()
     style = "green" if status.state is State.FINISHED else "cyan"
-    saved = ProgressBar(status.poses, status.saved, width=bar_width, complete_style=style, finished_style=style)
-    fired = ProgressBar(
-        status.n_emissions,
-        status.emission if status.buzzer is not None else 0,
-        width=bar_width,
-        complete_style=style,
-        finished_style=style,
-    )
+    fired = status.emission if status.buzzer is not None else 0
     buzzer = "-" if status.buzzer is None else f"{status.buzzer} ({status.emission} of {status.n_emissions})"
-    grid.add_row("Poses", f"{status.saved} of {status.poses} saved", saved)
-    grid.add_row("Buzzer", buzzer, fired)
+    grid.add_row("Poses", f"{status.saved} of {status.poses} saved", Bar(status.saved / status.poses, bar_width, style))
+    grid.add_row("Buzzer", buzzer, Bar(fired / status.n_emissions, bar_width, style))
     return grid
 
 
@@ -198,7 +196,7 @@ def _meter(status: Status, index: int, bar_width: int) -> Table:
     channel, level_dbfs = status.channels[index], float(status.level_dbfs[index])
     fault = status.faults.get(channel, "clipping" if level_dbfs >= _CLIPPED_DBFS else "")
     style = "red" if fault else "yellow" if level_dbfs >= _HOT_DBFS else "green"
-    bar = ProgressBar(-QUIET_DBFS, level_dbfs - QUIET_DBFS, width=bar_width, complete_style=style, finished_style=style)
+    bar = Bar(1 - level_dbfs / QUIET_DBFS, bar_width, style)
     grid = Table.grid(padding=(0, 1))
     grid.add_column(width=6, style="dim", no_wrap=True)
     grid.add_column(width=bar_width)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _QUANTILE = 0.25
+_MANY = 12  # of these, two or three that are off do not make the spread
 _RATE_STD = 100e-6  # what a crystal may be off: holds the rate while the stamps span little time
 _RATE_LIMIT = 1e-3
 _HALVINGS = 16  # down to 0.015 ppm
@@ -22,13 +23,17 @@ _HALVINGS = 16  # down to 0.015 ppm
 
 @dataclass(frozen=True)
 class StampLine:
-    """host_s = host_s0 + (sample - sample0) * (1 + slope) / nominal rate, and how far the stamps lie off it."""
+    """host_s = host_s0 + (sample - sample0) * (1 + slope) / nominal rate, and how far the stamps lie off it.
+
+    `spread_s` is how much later than the line three quarters of the stamps are at most; 0 while there are few.
+    """
 
     sample0: float
     host_s0: float
     slope: float
     slope_std: float
     std_s: float
+    spread_s: float
 
 
 def line_along(samples: FloatArray, hosts_s: FloatArray, sample_rate_hz: float, noise_s: float) -> StampLine:
@@ -57,7 +62,8 @@ def line_along(samples: FloatArray, hosts_s: FloatArray, sample_rate_hz: float, 
     edge_s = float(off_s[_edge(off_s)])
     std_s = max(noise_s, float(np.sqrt(np.mean((off_s - edge_s) ** 2))))
     host_s0 = float(hosts_s[0]) + centre_s + edge_s
-    return StampLine(float(samples[0]) + centre_s * sample_rate_hz, host_s0, slope, slope_std, std_s)
+    spread_s = float(np.quantile(off_s, 1 - _QUANTILE)) - edge_s if len(off_s) >= _MANY else 0.0
+    return StampLine(float(samples[0]) + centre_s * sample_rate_hz, host_s0, slope, slope_std, std_s, spread_s)
 
 
 def _edge(off_s: FloatArray) -> int:

@@ -127,6 +127,14 @@ def test_a_single_early_block_at_the_start_is_no_loss(at):
     assert clock.sample_at(START_S + 5.0) == pytest.approx(5.0 * RATE_HZ, abs=30)
 
 
+def test_where_stamps_scatter_anyway_a_second_of_late_ones_is_no_loss():
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(3000, mean_late_s=0.0005)
+    time_s = samples / RATE_HZ
+    hosts_s += 0.008 * np.where(time_s < 20, time_s % 1.3 > 0.35, time_s % 2.6 > 1.3)  # at first too short for a loss
+    assert not fed(clock, samples, hosts_s)
+
+
 @pytest.mark.parametrize("lost_s", [0.006, 0.1])
 @pytest.mark.parametrize("seed", range(4))
 def test_lost_samples_are_told_within_a_second_although_blocks_come_early_now_and_then(lost_s, seed):
