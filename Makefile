@@ -1,15 +1,18 @@
 # make demo: the main job on the simulated rig.   make test: all checks and tests.
-# Both set up everything they need, system packages included.
+# Both set up everything they need; tests need Debian packages too, which .ci/system-packages installs.
 
 SEED ?= 0
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help setup demo figures test lint types imports tests lock clean
+.PHONY: help setup demo virtual-bench bench figures test lint types imports tests lock clean
 
 help:
+	@echo "make setup          everything that Python needs, into .venv; then: . .venv/bin/activate"
 	@echo "make demo [SEED=0]  capture 25 poses on the simulated rig and calibrate them"
-	@echo "make test           linter, type checker, import contracts, tests"
+	@echo "make virtual-bench  run a bench without hardware for rig-capture (docs/virtual-bench.md)"
+	@echo "make bench          all benchmarks, a table each"
+	@echo "make test           linter, type checker, import contracts, tests; installs Debian packages (.ci/system-packages)"
 	@echo "make lock           renew requirements.lock from pyproject.toml"
 	@echo "make clean          remove the environment and everything the demo made"
 
@@ -26,9 +29,18 @@ demo: setup
 	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
 	$(BIN)/rig-calibrate demo.h5
 
+# real stacks without hardware, until Ctrl-C
+virtual-bench: setup
+	.ci/system-packages
+	@PYTHONPATH=tests $(BIN)/python -m virtual_bench
+
 # the README's picture, from the demo's files
 figures: setup
 	$(BIN)/python docs/figures/make.py
+
+bench: setup
+	.ci/system-packages
+	@for each in benchmarks/*.py; do $(BIN)/python $$each || exit 1; done
 
 test: lint types imports tests
 
@@ -44,11 +56,11 @@ imports: setup
 
 tests: setup
 	.ci/system-packages
-	$(BIN)/pytest --numprocesses=auto --cov --cov-report=term
+	$(BIN)/pytest --numprocesses=auto --dist=worksteal --cov --cov-report=term
 
 lock:
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-emit-find-links --no-header \
 	    --extra aislab --extra plot --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz
+	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz

@@ -10,18 +10,22 @@ from pathlib import Path
 import cv2
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from acquire.devices.base import Rig
 from acquire.devices.choose import choose_devices
+from acquire.disk import DiskSpace
 from acquire.errors import CaptureError, CaptureQualityError, InterruptedCaptureError
 from acquire.poses import Poses
 from acquire.recording import Recording
+from acquire.resume import SEED, Resumption, resume
 from acquire.screen import Screen
 from acquire.status import State, Status
 from rigs import __version__
 from rigs.description import RigDescription
 from rigs.errors import SessionWriteError
 from rigs.library import FoundDescription
+from rigs.session.good_part import Watch
 from rigs.session.writer import SessionWriter
 from rigs.target import check_target
 
@@ -34,6 +38,7 @@ def capture(
     poses: int | None = None,
     seed: int | None = None,
     stop_wanted: Callable[[], bool] = lambda: False,
+    resumes: bool = False,
 ) -> Status:
     """Capture one session.
 
@@ -49,6 +54,8 @@ def capture(
         Of the simulated rig.
     stop_wanted : callable
         Asked again and again; True ends the capture.
+    resumes : bool
+        Go on with the session that is at `path`, whose description `found` is.
 
     Returns
     -------
@@ -59,36 +66,83 @@ def capture(
     ------
     rigs.errors.TargetError
         The file is there already, or cannot be made; no device was touched.
+    rigs.errors.RigError
+        A session cannot go on as it is asked to.
     rigs.errors.SessionWriteError
         The disk is full or lost; what was flushed before is kept.
     DeviceError, FirmwareError
         A device is missing or was lost; as for all errors below, what came before is saved in a closed file.
+    DiskShortError
+        The disk is nearly full; before any device was touched, or with all that was recorded in a closed file.
     CaptureQualityError
         The board was not found, or nothing was heard.
     InterruptedCaptureError
         Somebody wanted it to end.
     """
-    check_target(path)
     description = _with_poses(found.description, poses)
+    space = DiskSpace(path, description)
+    if not resumes:  # a resumption asks for more room, and says so itself
+        check_target(path)
+        space.check()
     rig = choose_devices(description, seed=seed)
-    with _opened(rig) as versions, _new_session(path, found, rig, versions) as writer:
+    watch = _interruptible(screen, stop_wanted, path)
+    earlier = resume(path, rig.truth, description.capture.poses, watch) if resumes else None
+    with ExitStack() as stack:
+        if earlier is not None:
+            stack.enter_context(earlier.writer)  # discards the copy when a device is missing
+        versions = stack.enter_context(_opened(rig))
+        if rig.truth is not None:
+            versions[SEED] = str(description.simulation.seed if seed is None else seed)
+        writer = earlier.writer if earlier else stack.enter_context(_new_session(path, found, rig, versions))
         status = _status(description, path)
         recording = Recording(rig, writer, description, screen, status, stop_wanted)
+        if earlier is not None:
+            _go_on(earlier, recording, versions)
+        _warn(recording, space)
         try:
-            Poses(recording, description).capture_all()
+            Poses(recording, description, earlier).capture_all()
         except SessionWriteError as error:
             raise SessionWriteError(f"{error}; {saved_line(status)}") from error
         except CaptureError as error:
             level = "info" if isinstance(error, InterruptedCaptureError) else "error"
-            _end(recording, _end_state(error), level, str(error))
+            _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
             raise type(error)(f"{error}; {saved_line(status)}") from error
         _end(recording, State.FINISHED, "info", saved_line(status))
+        recording.tell("info", saved_line(status))
     return status
+
+
+def _warn(recording: Recording, space: DiskSpace) -> None:
+    """Say what is doubtful from the start, and store what is known of the camera's clock."""
+    rig, doubt = recording.rig, space.doubt()
+    for warning in (*rig.camera.warnings, *([doubt] if doubt else [])):
+        recording.say("warning", warning)
+    recording.clocks.store_camera(rig.clock.now_s())
+
+
+def _go_on(earlier: Resumption, recording: Recording, versions: dict[str, str]) -> None:
+    """Put the resumed session in its place and tell what it holds."""
+    status = recording.status
+    status.saved, status.earlier_s = earlier.recovery.n_accepted, earlier.recovery.duration_s
+    for line in earlier.take_place(versions):
+        recording.tell("info", line)
+
+
+def _interruptible(screen: Screen, stop_wanted: Callable[[], bool], path: Path) -> Watch:
+    """Return what shows on the screen how far a copy is, and ends it when somebody wants that."""
+
+    def watch(rows: NDArray[np.void], what: str) -> Iterator[np.void]:
+        for row in screen.watch(rows, what):
+            if stop_wanted():
+                raise InterruptedCaptureError(f"interrupted before it went on: {path} is as it was")
+            yield row
+
+    return watch
 
 
 def saved_line(status: Status) -> str:
     """Say in words what is in the file."""
-    minutes, seconds = divmod(round(status.time_s), 60)
+    minutes, seconds = divmod(round(status.earlier_s + status.time_s), 60)
     poses = "1 pose" if status.saved == 1 else f"{status.saved} poses"
     return f"{poses} saved in {status.file} ({minutes}:{seconds:02d} of audio, {len(status.channels)} channels)"
 
@@ -149,5 +203,8 @@ def _end_state(error: CaptureError) -> State:
 def _end(recording: Recording, state: State, level: str, text: str) -> None:
     """Close the file well, whatever ended the capture."""
     recording.status.state, recording.status.advice = state, ""
-    recording.say(level, text)
+    if (rate := recording.clocks.store_session()) is not None:
+        recording.say("info", rate)
+    recording.say("info", recording.film.in_words())
+    recording.note(level, text)
     recording.writer.close()

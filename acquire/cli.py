@@ -20,8 +20,28 @@ _TONE_WARNING = (
 )
 
 
+def _list_devices(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
+    """Print what there is, and end."""
+    if not is_wanted or context.resilient_parsing:
+        return
+    from rich.console import Console
+
+    from acquire.device_list import show_devices
+
+    show_devices(Console())
+    context.exit()
+
+
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="acoustic-camera-rig")
+@click.option(
+    "--list-devices",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_devices,
+    help="Show sound devices, cameras and serial ports as the rig description names them, and exit.",
+)
 @click.option(
     "--session",
     required=True,
@@ -31,7 +51,13 @@ _TONE_WARNING = (
 @click.option("--rig", metavar="PATH|NAME", help="Rig description: a YAML file, or the name of a shipped rig.")
 @click.option("--poses", type=click.IntRange(1, 10000), help="How many poses, instead of what the description says.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Of the simulated rig, instead of the description's.")
-def cli(session: Path, rig: str | None, poses: int | None, seed: int | None) -> int:
+@click.option(
+    "--resume",
+    "resumes",
+    is_flag=True,
+    help="Go on with an existing session, whole or cut off, with its own rig.",
+)
+def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, resumes: bool) -> int:
     """Capture a session: for each pose of the board, fire every buzzer and record what microphones and camera take in.
 
     Without --rig, the description is looked for in the environment variable RIG, in ./rig.yaml and in the user's config
@@ -45,30 +71,52 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None) -> 
 
     from acquire.capture import capture
     from acquire.interrupt import stop_on_signals
+    from acquire.resume import look_into
     from acquire.screen import screen_for
     from rigs.library import find_description
-    from rigs.target import check_target
 
     named = session.name not in ("", "..") and session.suffix != ".h5"
     path = session.with_name(f"{session.name}.h5") if named else session
-    check_target(path)
-    found = find_description(rig)
+    if resumes:
+        earlier = look_into(path, find_description(rig) if rig else None, seed)
+        found, seed = earlier.found, earlier.seed
+    else:
+        _check_new(path)
+        found = find_description(rig)
     console = Console(highlight=False)
     console.print(_rig_line(found), soft_wrap=True, markup=False)
     if found.description.signal.kind == "tone":
         console.print(_TONE_WARNING, soft_wrap=True, markup=False)
     with stop_on_signals() as stop_wanted, screen_for(console) as screen:
-        capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted)
+        status = capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted, resumes=resumes)
     with suppress(SystemExit):  # rich's answer to a broken pipe: nobody reads this any more
-        console.print(f"next: rig-calibrate {path}", soft_wrap=True, markup=False)
+        console.print(_next_line(status.saved, found.description.min_poses, path), soft_wrap=True, markup=False)
     return 0
+
+
+def _check_new(path: Path) -> None:
+    from rigs.errors import TargetExistsError
+    from rigs.target import check_target
+
+    try:
+        check_target(path)
+    except TargetExistsError as error:
+        raise TargetExistsError(f"{error}, or go on with that session: --resume") from error
 
 
 def _rig_line(found: FoundDescription) -> str:
     why = f"named by {found.how}" if found.how in ("--rig", "RIG") else f"found as {found.how}"
+    if found.how == "--resume":
+        why = "the rig that the session began with"
     if found.how == "default":
         why = "the default, as nothing else is named by --rig, RIG, ./rig.yaml or your config folder"
     return f"rig {found.description.name}, from {found.where}: {why}"
+
+
+def _next_line(n_saved: int, n_needed: int, path: Path) -> str:
+    if n_saved < n_needed:
+        return f"next: capture a session with more poses: rig-calibrate needs at least {n_needed} poses, 25 are good"
+    return f"next: rig-calibrate {path}"
 
 
 def main() -> None:

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 
-from acquire.checks import EmissionCheck, check_emission
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.checks import EmissionCheck, check_emission, find_onset
+from acquire.clocks import Prediction
 from acquire.devices.base import EmissionStart
+from acquire.errors import DeviceLostError, DeviceRestartedError, losing
+from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.status import State
 from rigs.description import RigDescription
@@ -15,13 +22,38 @@ _UNKNOWN_SAMPLE = -1
 
 
 @dataclass(frozen=True)
+class Onset:
+    """Where an emission was expected and found in the recording.
+
+    Parameters
+    ----------
+    predicted_sample, measured_sample : float
+        Rows with their fraction, NaN where unknown.
+    predicted_std_s : float
+        Standard deviation of the prediction.
+    latency_s : float
+        A part of the prediction; NaN where it is not known yet.
+    """
+
+    predicted_sample: float = math.nan
+    predicted_std_s: float = math.nan
+    measured_sample: float = math.nan
+    latency_s: float = math.nan
+
+
+@dataclass(frozen=True)
 class Shot:
-    """One emission: when it began, where it is expected in the recording, and what is wrong with it as a whole."""
+    """One emission: when it began, what is wrong with it as a whole, and where it is in the recording."""
 
     start: EmissionStart
-    expected_sample: int
     problem: str | None
-    faults: ChannelFaults
+    faults: ChannelFaults = frozenset()
+    onset: Onset = Onset()
+
+    def expected_sample(self) -> int:
+        """Return the row of the recording where it should begin."""
+        sample = self.onset.predicted_sample
+        return _UNKNOWN_SAMPLE if math.isnan(sample) else round(sample)
 
 
 class Emissions:
@@ -33,12 +65,17 @@ class Emissions:
     ----------
     recording : Recording
     description : RigDescription
+    reconnection : Reconnection
+        Opens a board again that has restarted.
     """
 
-    def __init__(self, recording: Recording, description: RigDescription) -> None:
-        self._recording, self._description = recording, description
+    def __init__(self, recording: Recording, description: RigDescription, reconnection: Reconnection) -> None:
+        self._recording, self._description, self._reconnection = recording, description, reconnection
+        self._clocks, self._trigger = recording.clocks, recording.rig.trigger
         self._waveform = description.signal.waveform()
         self._limits = description.capture
+        self._rate_hz = description.audio.sample_rate_hz
+        self._n_microphones = len(description.audio.microphone_channels())
         self._known: ChannelFaults = frozenset()
 
     def fire(self, pose: int, buzzer: int, repeat: int) -> ChannelFaults | None:
@@ -51,11 +88,11 @@ class Emissions:
 
         Raises
         ------
-        DeviceError, InterruptedCaptureError
+        DeviceLostError, DeviceError, FirmwareError, DiskShortError, InterruptedCaptureError
         """
         seen = self._known
         for retries_left in range(self._limits.retries, -1, -1):
-            shot = self._shoot(pose, buzzer)
+            shot = self._shoot(buzzer)
             new_faults = shot.faults - seen
             accepted = shot.problem is None and not (new_faults and retries_left)
             self._store(shot, pose, buzzer, repeat, accepted)
@@ -64,28 +101,83 @@ class Emissions:
                 return shot.faults
             seen |= shot.faults
             self._complain(buzzer, shot.problem or self._in_words(new_faults), retries_left)
+        if not math.isnan(shot.onset.measured_sample):
+            self._clocks.latency.forget()  # heard, but never where expected: the audio path has changed
         return None
 
-    def _shoot(self, pose: int, buzzer: int) -> Shot:
+    def _shoot(self, buzzer: int) -> Shot:
         recording, status = self._recording, self._recording.status
         status.state, losses = State.FIRING, recording.losses
-        start = recording.rig.trigger.play(buzzer, self._waveform)
-        recording.record(self._waveform.duration_s + self._description.signal.gap_s, pose)
-        expected_sample = recording.sample_at(start.host_time_s)
-        if expected_sample is not None:
-            recording.record_until(expected_sample + self._samples(self._waveform.duration_s + self._reach_s()), pose)
+        start = self._started(buzzer)
+        recording.record(self._waveform.duration_s + self._description.signal.gap_s)
+        has_restarted = self._has_restarted()
+        prediction = self._clocks.predict(start)
+        if prediction is not None:
+            last_s = self._clocks.latency.window_s()[1]
+            wanted_s = last_s + self._waveform.duration_s + self._reach_s()
+            recording.record_until(round(prediction.sample) + self._samples(wanted_s))
         status.state = State.CHECKING
-        if expected_sample is None or recording.losses > losses:
-            return Shot(start, _UNKNOWN_SAMPLE, "audio was lost while it sounded", frozenset())
-        check = self._check(expected_sample)
-        return Shot(start, expected_sample, check.problem(), check.channel_faults())
+        if prediction is None or recording.losses > losses:
+            return Shot(start, "audio was lost while it sounded")
+        if has_restarted:
+            return Shot(start, "the board restarted while it sounded")
+        return self._judged(start, prediction)
+
+    def _started(self, buzzer: int) -> EmissionStart:
+        while True:
+            try:
+                with losing("trigger"):
+                    return self._trigger.play(buzzer, self._waveform)
+            except DeviceRestartedError as error:
+                self._reconnection.restore(DeviceLostError(str(error), "trigger"))
+
+    def _has_restarted(self) -> bool:
+        """Read the board's clock; where the board has restarted, nobody knows what it has played."""
+        try:
+            with losing("trigger"):
+                self._clocks.store(self._trigger)
+        except DeviceRestartedError as error:
+            self._reconnection.restore(DeviceLostError(str(error), "trigger"))
+            return True
+        return False
+
+    def _judged(self, start: EmissionStart, prediction: Prediction) -> Shot:
+        latency = self._clocks.latency
+        known_s = latency.value_s if latency.is_known else math.nan
+        latency_s = known_s if latency.is_known else self._first_latency_s(prediction)
+        sample = prediction.sample + latency_s * self._rate_hz
+        check = self._check(round(sample))
+        measured_sample = round(sample) + check.late_s() * self._rate_hz
+        onset = Onset(sample, math.hypot(prediction.std_s, latency.std_s), measured_sample, known_s)
+        if check.problem() is None:
+            self._learn((measured_sample - prediction.sample) / self._rate_hz)
+        return Shot(start, check.problem(), check.channel_faults(), onset)
+
+    def _first_latency_s(self, prediction: Prediction) -> float:
+        """Look for the emission in a wide window; 0 where it is not heard."""
+        first_s, last_s = self._clocks.latency.window_s()
+        first_sample = round(prediction.sample) + self._samples(first_s)
+        end_sample = round(prediction.sample) + self._samples(last_s + self._waveform.duration_s)
+        first_sample, samples = self._heard(first_sample, end_sample)
+        onset = find_onset(samples, self._waveform, self._rate_hz)
+        return 0.0 if onset is None else (first_sample + onset - prediction.sample) / self._rate_hz
+
+    def _learn(self, offset_s: float) -> None:
+        latency, is_first = self._clocks.latency, not self._clocks.latency.is_known
+        latency.learn(offset_s)
+        if is_first:
+            self._recording.say("info", f"latency of the audio: {1e3 * offset_s:.0f} ms, with the way of the sound")
 
     def _check(self, expected_sample: int) -> EmissionCheck:
         before = self._samples(self._description.signal.gap_s)
         after = self._samples(self._waveform.duration_s + self._reach_s())
-        first, samples = self._recording.samples(expected_sample - before, expected_sample + after)
-        rate_hz = self._description.audio.sample_rate_hz
-        return check_emission(samples, expected_sample - first, self._waveform, self._limits, rate_hz)
+        first, samples = self._heard(expected_sample - before, expected_sample + after)
+        return check_emission(samples, expected_sample - first, self._waveform, self._limits, self._rate_hz)
+
+    def _heard(self, first_sample: int, end_sample: int) -> tuple[int, NDArray[np.float32]]:
+        """Return what the microphones heard, and the row where it begins; the sync output is no microphone."""
+        first_sample, samples = self._recording.samples(first_sample, end_sample)
+        return first_sample, samples[:, : self._n_microphones]
 
     def _store(self, shot: Shot, pose: int, buzzer: int, repeat: int, accepted: bool) -> None:
         self._recording.writer.append_emission(
@@ -95,8 +187,9 @@ class Emissions:
             waveform=self._waveform.label(),
             board_time_s=shot.start.board_time_s,
             host_time_s=shot.start.host_time_s,
-            expected_sample=shot.expected_sample,
+            expected_sample=shot.expected_sample(),
             accepted=accepted,
+            **asdict(shot.onset),
         )
         self._recording.flush()
 
@@ -119,4 +212,4 @@ class Emissions:
         return max(self._description.signal.gap_s / 2, self._limits.onset_tolerance_s)
 
     def _samples(self, duration_s: float) -> int:
-        return round(duration_s * self._description.audio.sample_rate_hz)
+        return round(duration_s * self._rate_hz)

@@ -1,5 +1,8 @@
 """The errors of capture; every message says what is wrong, where, and what to do."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CaptureError(Exception):
     """Base of all errors of the `acquire` package; `exit_code` is what the command line returns for it."""
@@ -9,6 +12,40 @@ class CaptureError(Exception):
 
 class DeviceError(CaptureError):
     """A device is missing, was lost, or does not answer."""
+
+
+class DeviceRestartedError(DeviceError):
+    """A device answers, but has forgotten what it was told: open it again and repeat."""
+
+
+class DeviceLostError(DeviceError):
+    """A device was lost while a session is captured.
+
+    Parameters
+    ----------
+    message : str
+    part : str
+        "trigger", "audio" or "camera".
+    """
+
+    def __init__(self, message: str, part: str = "") -> None:
+        super().__init__(message)
+        self.part = part
+
+
+@contextmanager
+def losing(part: str) -> Iterator[None]:
+    """Take any error of a device for its loss, unless it has only restarted; `part` as in `DeviceLostError`."""
+    try:
+        yield
+    except DeviceRestartedError:
+        raise
+    except DeviceError as error:
+        raise DeviceLostError(str(error), part) from error
+
+
+class DiskShortError(CaptureError):
+    """There is no room left on the disk; the session is closed well while there still is a little."""
 
 
 class FirmwareError(CaptureError):

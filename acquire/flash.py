@@ -5,11 +5,12 @@ from __future__ import annotations
 import shlex
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
 
-from acquire.avrdude import BOARDS, AvrdudeError, BoardKind, ToolError, command, write_image
+from acquire.avrdude import BOARDS, AvrdudeError, BoardKind, ToolError, check_installed, command, write_image
 from acquire.ports import FoundPort, choose_port, open_port, serial_ports
 from rigs.command import run
 
@@ -27,8 +28,9 @@ _FIRMWARE = Path(__file__).parents[1] / "firmware"
     help="An Intel HEX file, instead of the firmware that comes with this program.",
 )
 @click.option("--build", is_flag=True, help="Build the firmware from its sources first (in a source tree).")
-@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
-def cli(port: str, board: str | None, image: Path | None, build: bool, dry_run: bool) -> int:
+@click.option("--dry-run", is_flag=True, help="Look for all that is needed, say what would be done, and write nothing.")
+@click.option("--verbose", is_flag=True, help="Show what avrdude says.")
+def cli(port: str, board: str | None, image: Path | None, build: bool, dry_run: bool, verbose: bool) -> int:
     """Put the firmware of the buzzer board on an Arduino, and ask the board what is on it.
 
     Exit code: 0 good, 2 wrong usage or avrdude is missing, 3 no board, no permission, or the board cannot be written,
@@ -37,19 +39,21 @@ def cli(port: str, board: str | None, image: Path | None, build: bool, dry_run: 
     if image and build:
         raise click.UsageError("--image names a file, --build makes one: give one of the two")
     found = choose_port(port, serial_ports())
+    open_port(found.path).close()  # it is there, and avrdude would write into another program's conversation
     kind = _kind(board, found)
-    click.echo(f"found {found.describe()}: taken as board {kind.name}")
-    if build and not dry_run:
-        _build()
+    click.echo(f"{'port' if port == found.path else 'found'} {found.describe()}: taken as board {kind.name}")
+    check_installed()
+    if build:
+        _build(dry_run)
     chosen = image or _IMAGES / f"buzzer-board-{kind.image}.hex"
-    if not chosen.is_file() and not dry_run:
+    if not chosen.is_file() and not (build and dry_run):
         raise ToolError(
             f"{chosen}: there is no such image: build it with --build in a source tree, or name one with --image"
         )
     if dry_run:
         click.echo(f"would run: {shlex.join(command(kind, found.path, chosen))}")
         return 0
-    _write(kind, found.path, chosen)
+    _write(kind, found.path, chosen, verbose)
     return 0
 
 
@@ -67,13 +71,13 @@ def _kind(board: str | None, found: FoundPort) -> BoardKind:
     return BOARDS[name]
 
 
-def _write(kind: BoardKind, port: str, image: Path) -> None:
-    open_port(port).close()  # avrdude would write into another program's conversation
-    click.echo(f"writing {image.name} with avrdude ...")
+def _write(kind: BoardKind, port: str, image: Path, verbose: bool) -> None:
+    click.echo(f"writing {image.name} with avrdude: some seconds, up to half a minute where no bootloader answers ...")
     try:
-        write_image(kind, port, image)
+        write_image(kind, port, image, partial(click.echo, nl=False, err=True) if verbose else _ignore)
     except AvrdudeError as error:
-        click.echo(error.output, err=True)
+        if error.output and not verbose:
+            click.echo(error.output, err=True)
         raise
     from acquire.devices.board_hello import connect  # noqa: PLC0415 - NumPy would slow down --help
 
@@ -82,13 +86,21 @@ def _write(kind: BoardKind, port: str, image: Path) -> None:
     click.echo(f"written and verified; the board says: {hello.describe()}, {hello.n_buzzers} buzzers")
 
 
-def _build() -> None:
+def _ignore(line: str) -> None:
+    """Keep what avrdude says to itself: much of it is harmless, and frightens."""
+
+
+def _build(dry_run: bool) -> None:
     if not (_FIRMWARE / "Makefile").is_file():
         raise ToolError(
             "--build works in a source tree only: leave it out to take the image that came with this program"
         )
+    build = ["make", "-C", str(_FIRMWARE), "images"]
+    if dry_run:
+        click.echo(f"would run: {shlex.join(build)}")
+        return
     try:
-        made = subprocess.run(["make", "-C", str(_FIRMWARE), "images"], capture_output=True, text=True, check=False)  # noqa: S603, S607
+        made = subprocess.run(build, capture_output=True, text=True, check=False)  # noqa: S603
     except FileNotFoundError as error:
         raise ToolError("make is not installed: `sudo apt install make`, or leave --build out") from error
     if made.returncode:

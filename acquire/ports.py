@@ -117,6 +117,12 @@ def choose_port(wanted: str, ports: Sequence[FoundPort]) -> FoundPort:
     return FoundPort(wanted, same[0].usb_id, same[0].serial_number) if same else FoundPort(wanted)
 
 
+def flash_command(path: str) -> str:
+    """Return the command line that flashes the board at a port; with --board where USB ids do not tell which it is."""
+    is_told = choose_port(path, serial_ports()).board
+    return f"rig-flash --port {path}" + ("" if is_told else " --board uno (or nano, nano-old, mega)")
+
+
 def open_port(path: str) -> Serial:
     """Open a port for this program alone, at the protocol's speed; an Uno restarts from it.
 

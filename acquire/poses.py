@@ -7,8 +7,11 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import Frame
 from acquire.emissions import ChannelFaults, Emissions
-from acquire.errors import CaptureQualityError
+from acquire.errors import CaptureQualityError, DeviceLostError
+from acquire.reconnection import Reconnection
 from acquire.recording import Recording
+from acquire.resume import Resumption
+from acquire.sharpness import edge_blur_px
 from acquire.status import State
 from acquire.stillness import Sight, StillBoard
 from rigs.board import find_corners, movement_px
@@ -19,13 +22,15 @@ _MAX_SILENT_POSES = 3
 _LOOK_PAUSE_S = 0.15  # the search for corners is most of the work of a capture
 _ADVICE = {
     Sight.MISSING: "bring the whole board into the picture, evenly lit and without glare",
-    Sight.SAME_PLACE: "move the board to a new place",
+    Sight.SAME_PLACE: "move the board to a place where it has not been",
     Sight.MOVING: "let the board stand still",
     Sight.SETTLING: "let the board stand still",
+    Sight.BLURRED: "focus the camera on the board, light it better, and hold it still",
     Sight.STILL: "leave the board where it is and keep quiet",
 }
 _STAND = "put it on a stand, or raise capture.still_px if only the picture's noise moves the corners"
-_TIMEOUT_REMEDIES = {Sight.MOVING: _STAND, Sight.SETTLING: _STAND}
+_SHARPEN = f"{_ADVICE[Sight.BLURRED]}, or raise capture.max_blur_px if the lens cannot do better"
+_TIMEOUT_REMEDIES = {Sight.MOVING: _STAND, Sight.SETTLING: _STAND, Sight.BLURRED: _SHARPEN}
 _CHANNEL_REMEDIES = {
     "silent": "check its cable, power and mute switch; calibration cannot place it",
     "clipped": "turn its gain down",
@@ -39,49 +44,68 @@ class Poses:
     ----------
     recording : Recording
     description : RigDescription
+    earlier : Resumption, optional
+        What a session that goes on holds already.
     """
 
-    def __init__(self, recording: Recording, description: RigDescription) -> None:
+    def __init__(self, recording: Recording, description: RigDescription, earlier: Resumption | None = None) -> None:
         self._recording, self._status, self._clock = recording, recording.status, recording.rig.clock
         self._board, self._limits = description.board, description.capture
-        self._emissions = Emissions(recording, description)
+        self._reconnection = Reconnection(recording, description)
+        self._emissions = Emissions(recording, description, self._reconnection)
         self._shots = [
             (n, buzzer.id) for n in range(description.signal.repeats) for buzzer in description.board.buzzers
         ]
-        self._pose = 0  # counts attempts: a place that is captured again gets a number of its own
+        # counts attempts: a place that is captured again gets a number of its own
+        self._pose = earlier.recovery.next_pose if earlier else 0
         self._again = False  # the last attempt failed, so the same place is wanted
         self._silent_poses = 0
-        self._last_corners_px: FloatArray | None = None
+        self._earlier_px: list[FloatArray] = list(earlier.corners_px) if earlier else []  # of each good pose
 
     def capture_all(self) -> None:
-        """Capture until enough poses are good.
+        """Capture until enough poses are good; what a lost device has spoilt is captured again.
 
         Raises
         ------
-        DeviceError, InterruptedCaptureError
+        DeviceError, FirmwareError, DiskShortError, InterruptedCaptureError
         CaptureQualityError
             The board was not found still at a new place in time, or nothing was heard again and again.
         """
         while self._status.saved < self._status.poses:
-            frame, corners_px = self._wait_for_still_board()
-            self._again = not self._capture_pose(frame, corners_px)
-            if not self._again:
-                self._last_corners_px = corners_px
-                self._status.saved += 1
+            try:
+                self._capture_next()
+            except DeviceLostError as loss:
+                self._status.buzzer = None
+                self._reconnection.restore(loss)
+
+    def _capture_next(self) -> None:
+        frame, corners_px = self._wait_for_still_board()
+        self._again = True  # until it is known to be good
+        try:
+            is_good = self._capture_pose(frame, corners_px)
+        finally:
             self._pose += 1
+        if is_good:
+            self._again = False
+            self._earlier_px.append(corners_px)
+            self._status.saved += 1
+            self._reconnection.forgive()
 
     def _wait_for_still_board(self) -> tuple[Frame, FloatArray]:
         """Return the picture in which the board has come to rest at a new place, and its corners."""
         self._recording.rig.operator.ask_for_pose(self._status.saved)
         request = "let it stand still where it is" if self._again else "move it to a new place and let it stand still"
         self._recording.say("info", f"{self._status.pose_label()}, board: {request}")
-        watch = StillBoard(self._limits, self._last_corners_px)
+        watch = StillBoard(self._limits, self._earlier_px)
         end_s = self._clock.now_s() + self._limits.pose_timeout_s
         sight = Sight.MISSING
         while self._clock.now_s() < end_s:
             frame, corners_px = self._look()
-            sight = watch.see(corners_px, frame.host_time_s)
-            self._show(sight, watch.movement_px)
+            sight, figure_px = watch.see(corners_px, frame.host_time_s), watch.movement_px
+            if sight is Sight.STILL and corners_px is not None:
+                figure_px = edge_blur_px(frame.image, corners_px, self._board)
+                sight = Sight.STILL if figure_px <= self._limits.max_blur_px else Sight.BLURRED
+            self._show(sight, figure_px)
             if sight is Sight.STILL and corners_px is not None:
                 return frame, corners_px
             self._recording.record(min(self._limits.still_s / 3, _LOOK_PAUSE_S))
@@ -93,11 +117,15 @@ class Poses:
     def _capture_pose(self, first: Frame, corners_px: FloatArray) -> bool:
         """Fire all buzzers, and return whether the pose is good; it is stored either way, an interrupted one too."""
         accepted = False
-        self._recording.keep(first, self._pose)
+        film = self._recording.film
+        n_missing = film.n_missing
+        film.begin(first, self._pose)
         try:
             n_good = self._fire_all()
             accepted = self._was_heard(n_good) and self._has_stayed(corners_px)
+            self._note_missing(film.n_missing - n_missing)
         finally:
+            film.end()
             self._recording.writer.append_pose(
                 pose=self._pose,
                 start_host_time_s=first.host_time_s,
@@ -145,26 +173,38 @@ class Poses:
         self._recording.say("warning", f"{line}; the same place again")
         return False
 
+    def _note_missing(self, n_frames: int) -> None:
+        if n_frames:
+            self._recording.say(
+                "warning",
+                f"{self._status.pose_label()}: {n_frames} of its frames are missing, the camera or the computer is too "
+                "slow: close other programs, give it more light or a USB port of its own",
+            )
+
     def _has_stayed(self, first_px: FloatArray) -> bool:
-        """Tell from one more picture, which is stored, whether the board is where it was."""
+        """Tell from some frames of the pose, and from one more that is stored, whether the board is where it was."""
         self._status.state = State.COMPARING
-        frame, corners_px = self._look()
-        self._recording.keep(frame, self._pose)
-        moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)
-        if moved_px < self._limits.still_px:
-            return True
-        what = "was lost from sight" if corners_px is None else f"moved by {moved_px:.1f} px"
-        self._recording.say(
-            "warning", f"{self._status.pose_label()}: the board {what} while the buzzers sounded; the same place again"
-        )
-        return False
+        film = self._recording.film
+        between, last = film.end(), self._recording.look()
+        film.keep(last)
+        for frame in (*between, last):
+            corners_px = find_corners(frame.image, self._board)
+            moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)
+            if not moved_px < self._limits.still_px:
+                what = "was lost from sight" if corners_px is None else f"moved by {moved_px:.1f} px"
+                self._recording.say(
+                    "warning",
+                    f"{self._status.pose_label()}: the board {what} while the buzzers sounded; the same place again",
+                )
+                return False
+        return True
 
     def _look(self) -> tuple[Frame, FloatArray | None]:
         frame = self._recording.look()
         return frame, find_corners(frame.image, self._board)
 
-    def _show(self, sight: Sight, moved_px: float) -> None:
-        found = sight in (Sight.MOVING, Sight.SETTLING, Sight.STILL)
+    def _show(self, sight: Sight, figure_px: float) -> None:
+        found = sight in (Sight.MOVING, Sight.SETTLING, Sight.BLURRED, Sight.STILL)
         self._status.state = State.SETTLING if found else State.WAITING
-        self._status.board = f"{sight.value} ({moved_px:.2f} px)" if found else sight.value
+        self._status.board = f"{sight.value} ({figure_px:.2f} px)" if found else sight.value
         self._status.advice = _ADVICE[sight]

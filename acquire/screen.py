@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
-from rich.progress_bar import ProgressBar
+from rich.progress import Progress
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from acquire.bar import Bar
 from acquire.status import QUIET_DBFS, Message, State, Status
 
 _REFRESH_S = 0.1
@@ -33,6 +37,9 @@ class Screen(Protocol):
 
     def say(self, message: Message) -> None:
         """Show something that happened."""
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on, one after another, and show how far that is."""
 
 
 class PlainScreen:
@@ -57,6 +64,10 @@ class PlainScreen:
         mark = "" if message.level == "info" else f"{message.level}: "
         with suppress(SystemExit):  # rich's answer to a broken pipe
             self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
+
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on, and show nothing."""
+        return rows
 
 
 class LiveScreen:
@@ -89,6 +100,16 @@ class LiveScreen:
         """Redraw soon; the status holds the message."""
         self._drawn_s = float("-inf")
 
+    def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
+        """Give the rows on behind a bar, until there is a status to show."""
+        progress = Progress(console=self._console, auto_refresh=False)
+        for row in progress.track(rows, description=what):
+            if time.monotonic() - self._drawn_s >= _REFRESH_S:
+                self._live.update(progress, refresh=True)
+                self._drawn_s = time.monotonic()
+            yield row
+        self._live.update("", refresh=True)
+
     def _draw(self, status: Status) -> None:
         size = self._console.size
         self._live.update(picture(status, size.width, size.height), refresh=True)
@@ -115,16 +136,21 @@ def picture(status: Status, width: int, height: int) -> RenderableType:
 
 
 class Cropped:
-    """A picture of always the same number of lines, so that nothing jumps or scrolls away."""
+    """A picture of always the same number of lines, so that nothing jumps or scrolls away.
+
+    The last is left free: the terminal writes ^C there. Behind a full line it would begin a new one, and all later
+    pictures would be a line too low, with the first one's header above them.
+    """
 
     def __init__(self, content: RenderableType, height: int) -> None:
         self._content, self._height = content, height
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         lines = console.render_lines(self._content, options.update(height=None), pad=True)
-        for line in Segment.set_shape(lines, options.max_width, self._height):
+        for line in Segment.set_shape(lines, options.max_width, self._height - 1):
             yield from line
             yield Segment.line()
+        yield Segment(" ")
 
 
 def _header(status: Status, width: int) -> Table:
@@ -133,8 +159,9 @@ def _header(status: Status, width: int) -> Table:
     grid.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
     grid.add_column(no_wrap=True, justify="right")
     title = Text.assemble(("rig-capture", "bold"), f"  {status.rig} ", ("to", "dim"), f" {status.file}")
-    state = Text(f"{status.state.value}  ", style=_ENDS.get(status.state, "cyan")) + Text(_clock_time(status.time_s))
-    grid.add_row(title, state)
+    behind = Text(f"{status.backlog_s:.1f} s behind  ", style="yellow") if status.is_behind else Text("")
+    state = Text(f"{status.state.value}  ", style=_ENDS.get(status.state, "cyan"))
+    grid.add_row(title, behind + state + Text(_clock_time(status.time_s)))
     return grid
 
 
@@ -145,17 +172,10 @@ def _progress(status: Status, width: int) -> Table:
     grid.add_column(width=16, no_wrap=True)
     grid.add_column()
     style = "green" if status.state is State.FINISHED else "cyan"
-    saved = ProgressBar(status.poses, status.saved, width=bar_width, complete_style=style, finished_style=style)
-    fired = ProgressBar(
-        status.n_emissions,
-        status.emission if status.buzzer is not None else 0,
-        width=bar_width,
-        complete_style=style,
-        finished_style=style,
-    )
+    fired = status.emission if status.buzzer is not None else 0
     buzzer = "-" if status.buzzer is None else f"{status.buzzer} ({status.emission} of {status.n_emissions})"
-    grid.add_row("Poses", f"{status.saved} of {status.poses} saved", saved)
-    grid.add_row("Buzzer", buzzer, fired)
+    grid.add_row("Poses", f"{status.saved} of {status.poses} saved", Bar(status.saved / status.poses, bar_width, style))
+    grid.add_row("Buzzer", buzzer, Bar(fired / status.n_emissions, bar_width, style))
     return grid
 
 
@@ -176,7 +196,7 @@ def _meter(status: Status, index: int, bar_width: int) -> Table:
     channel, level_dbfs = status.channels[index], float(status.level_dbfs[index])
     fault = status.faults.get(channel, "clipping" if level_dbfs >= _CLIPPED_DBFS else "")
     style = "red" if fault else "yellow" if level_dbfs >= _HOT_DBFS else "green"
-    bar = ProgressBar(-QUIET_DBFS, level_dbfs - QUIET_DBFS, width=bar_width, complete_style=style, finished_style=style)
+    bar = Bar(1 - level_dbfs / QUIET_DBFS, bar_width, style)
     grid = Table.grid(padding=(0, 1))
     grid.add_column(width=6, style="dim", no_wrap=True)
     grid.add_column(width=bar_width)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 QUIET_DBFS = -90.0
 _FALL_DB_PER_S = 30.0
+_BEHIND_S = 1.0  # audio that waited longer than this tells of a slow disk
 
 
 class State(StrEnum):
@@ -22,6 +23,7 @@ class State(StrEnum):
     FIRING = "firing"
     CHECKING = "checking"
     COMPARING = "comparing"
+    RECONNECTING = "reconnecting"
     FINISHED = "finished"
     INTERRUPTED = "interrupted"
     LOST = "lost"
@@ -51,6 +53,8 @@ class Status:
         How many are wanted.
     n_emissions : int
         How many a pose has.
+    earlier_s : float
+        Sound that the file held before this run.
     """
 
     rig: str
@@ -61,12 +65,14 @@ class Status:
     state: State = State.OPENING
     saved: int = 0
     time_s: float = 0.0
+    earlier_s: float = 0.0
     buzzer: int | None = None
     emission: int = 0
     board: str = "not looked for yet"
     advice: str = ""
     faults: dict[int, str] = field(default_factory=dict)
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=20))
+    backlog_s: float = 0.0
     level_dbfs: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -77,6 +83,11 @@ class Status:
         peak = np.nan_to_num(np.abs(samples).max(axis=0, initial=0.0)).astype(float)
         peak_dbfs = 20 * np.log10(np.maximum(peak, 10 ** (QUIET_DBFS / 20)))
         self.level_dbfs = np.maximum(peak_dbfs, self.level_dbfs - _FALL_DB_PER_S * duration_s)
+
+    @property
+    def is_behind(self) -> bool:
+        """Audio waits longer than it should before it is stored."""
+        return self.backlog_s > _BEHIND_S
 
     def pose_label(self) -> str:
         """Return which pose is being captured, counted from 1."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -17,9 +18,10 @@ class Sight(StrEnum):
     """What the camera sees of the board."""
 
     MISSING = "not found"
-    SAME_PLACE = "at the last place"
+    SAME_PLACE = "where it was before"
     MOVING = "moving"
     SETTLING = "coming to rest"
+    BLURRED = "blurred"
     STILL = "still"
 
 
@@ -30,13 +32,13 @@ class StillBoard:
     ----------
     limits : Capture
         `still_px`, `still_s` and `new_pose_px`.
-    last_corners_px : (n_corners, 2) array or None
-        Corners of the last accepted pose.
+    earlier_px : sequence of (n_corners, 2) arrays
+        Corners of all accepted poses.
     """
 
-    def __init__(self, limits: Capture, last_corners_px: FloatArray | None) -> None:
+    def __init__(self, limits: Capture, earlier_px: Sequence[FloatArray]) -> None:
         self._limits = limits
-        self._last_corners_px = last_corners_px
+        self._earlier_px = earlier_px
         self._still_since: tuple[float, FloatArray] | None = None
         self.movement_px = float("nan")
 
@@ -45,13 +47,13 @@ class StillBoard:
         if corners_px is None:
             self._still_since, self.movement_px = None, float("nan")
             return Sight.MISSING
-        if self._last_corners_px is not None and not self._is_new(corners_px, self._last_corners_px):
+        if not all(self._is_new(corners_px, earlier_px) for earlier_px in self._earlier_px):
             self._still_since, self.movement_px = None, float("nan")
             return Sight.SAME_PLACE
         return self._follow(corners_px, host_time_s)
 
-    def _is_new(self, corners_px: FloatArray, last_corners_px: FloatArray) -> bool:
-        return movement_px(corners_px, last_corners_px) >= self._limits.new_pose_px
+    def _is_new(self, corners_px: FloatArray, earlier_px: FloatArray) -> bool:
+        return movement_px(corners_px, earlier_px) >= self._limits.new_pose_px
 
     def _follow(self, corners_px: FloatArray, host_time_s: float) -> Sight:
         if self._still_since is None:

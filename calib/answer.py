@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import View
-from calib.result import Residual
+from calib.result import HeldOut, Residual
 
 FloatArray = NDArray[np.float64]
 
@@ -27,6 +27,7 @@ class Answer:
         Camera and board poses.
     residual : Residual
     warnings : list of str
+    held_out : HeldOut or None
     """
 
     microphones_m: FloatArray
@@ -36,3 +37,4 @@ class Answer:
     view: View
     residual: Residual
     warnings: list[str] = field(default_factory=list)
+    held_out: HeldOut | None = None

@@ -41,13 +41,16 @@ class ArrivalCache:
     def load(self, rows: NDArray[np.intp], mode: TdoaMode) -> SoundArrivals | None:
         """Return the arrivals of an earlier run on the same sound with the same settings, if there are any."""
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 if str(file["key"]) != self._key(mode) or not np.array_equal(file["rows"], rows):
                     return None
                 arrival_s = file["arrival_s"]
                 table = {Flaw(str(name)): mask for name, mask in zip(file["flaws"], file["masks"], strict=True)}
+                channels = tuple(int(channel) for channel in file["channels"])
                 flaws = Flaws((len(rows), arrival_s.shape[1]), table)
-                return SoundArrivals(str(file["mode"]), rows, arrival_s, file["std_s"], flaws, file["quality"])
+                return SoundArrivals(
+                    str(file["mode"]), rows, channels, arrival_s, file["std_s"], flaws, file["quality"]
+                )
         except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile):
             return None
 
@@ -72,6 +75,7 @@ class ArrivalCache:
             key=np.array(self._key(mode)),
             mode=np.array(sound.mode),
             rows=sound.rows,
+            channels=np.array(sound.channels, dtype=np.int32),
             arrival_s=sound.arrival_s,
             std_s=sound.std_s,
             quality=sound.quality,
@@ -85,7 +89,7 @@ class ArrivalCache:
 
     def _is_ours(self) -> bool:
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 return {"key", "arrival_s", "masks"} <= set(file.files)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return False

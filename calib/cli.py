@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
+BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -47,6 +48,13 @@ METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 @click.option(
     "--exclude-channel", type=int, multiple=True, metavar="CHANNEL", help="Leave a microphone out (may be repeated)."
 )
+@click.option(
+    "--hold",
+    type=click.Choice(BLOCKS),
+    multiple=True,
+    help="Joint holds this at what the rig description, or a fit to the corners alone, says (may be repeated).",
+)
+@click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
     session: Path,
@@ -58,6 +66,8 @@ def command(
     inspect_tdoa: int | None,
     reference: int | None,
     exclude_channel: tuple[int, ...],
+    hold: tuple[str, ...],
+    find_delays: bool,
 ) -> None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
@@ -79,7 +89,7 @@ def command(
     target = output or session.with_suffix(".calib.yaml")
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
-        settings = Settings(method, seed, reference, exclude_channel, tdoa)
+        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)

@@ -7,7 +7,7 @@ peaks of the other pairs agree with wins. Peaks that agree with it are fitted by
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,9 @@ from calib.gcc import Candidates
 FloatArray = NDArray[np.float64]
 
 TOLERANCE_SAMPLES = 1.5  # within which peaks agree: under half a period
-MIN_PAIRS = 2  # that must agree about a channel
+MIN_AGREEING_SHARE = 0.5  # of a channel's pairs
 N_ROUNDS = 3
+N_VOTES = 2
 
 
 @dataclass(frozen=True)
@@ -46,19 +47,43 @@ class Agreement:
 def agree(candidates: Candidates, pairs: NDArray[np.int32], n_channels: int) -> Agreement:
     """Choose among the candidates of all pairs."""
     arrivals = _best_proposal(candidates, pairs, n_channels)
+    open_questions = (_nearest(candidates, arrivals, pairs)[0] < 0).any(axis=1)
+    if open_questions.any():
+        some = Candidates(*(getattr(candidates, one.name)[open_questions] for one in fields(Candidates)))
+        arrivals[open_questions] = _voted(some, arrivals[open_questions], pairs)
+    incidence = _incidence(pairs, n_channels)
+    heard = np.ones((len(arrivals), n_channels), dtype=bool)
     for _ in range(N_ROUNDS):
         chosen, lags = _nearest(candidates, arrivals, pairs)
+        chosen = np.where(heard[:, pairs].all(axis=2), chosen, -1)
+        n_agreeing = (chosen >= 0) @ np.abs(incidence)
+        heard &= n_agreeing >= MIN_AGREEING_SHARE * (n_channels - 1)
+        chosen = np.where(heard[:, pairs].all(axis=2), chosen, -1)
         weights = np.where(chosen >= 0, 1 / np.maximum(candidates.std, 1e-6) ** 2, 0.0)
         arrivals = _least_squares(lags, weights, pairs, n_channels)
     closure = np.where(chosen >= 0, lags - (arrivals[:, pairs[:, 1]] - arrivals[:, pairs[:, 0]]), 0.0)
-    incidence = _incidence(pairs, n_channels)
-    n_agreeing = (chosen >= 0) @ np.abs(incidence)
     variance = np.maximum(_arrival_variance(candidates.std, chosen, incidence), (closure**2) @ np.abs(incidence) / 4)
-    heard = n_agreeing >= MIN_PAIRS
-    std = np.sqrt(variance / np.maximum(n_agreeing, 1))
-    return Agreement(
-        np.where(heard, arrivals, np.nan), np.where(heard, std, np.nan), chosen, (chosen >= 0).mean(axis=1)
-    )
+    std = np.sqrt(variance / np.maximum((chosen >= 0) @ np.abs(incidence), 1))
+    quality = (chosen >= 0).mean(axis=1)
+    return Agreement(np.where(heard, arrivals, np.nan), np.where(heard, std, np.nan), chosen, quality)
+
+
+def _voted(candidates: Candidates, arrivals: FloatArray, pairs: NDArray[np.int32]) -> FloatArray:
+    """Let every channel's pairs vote in turn, with all their candidates, on when it was, given the other channels."""
+    arrivals = arrivals.copy()
+    for column in np.tile(np.arange(arrivals.shape[1]), N_VOTES):
+        mine = np.flatnonzero((pairs == column).any(axis=1))
+        sign = np.where(pairs[mine, 1] == column, 1.0, -1.0)
+        others = pairs[mine].sum(axis=1) - column
+        votes = (arrivals[:, others, None] + sign[:, None] * candidates.lags[:, mine]).reshape(len(arrivals), -1)
+        votes = np.nan_to_num(votes, nan=np.inf)
+        scores = candidates.scores[:, mine].reshape(len(arrivals), -1)
+        with np.errstate(invalid="ignore"):  # infinity minus infinity: two peaks that are not there
+            near = np.abs(votes[:, :, None] - votes[:, None]) < TOLERANCE_SAMPLES
+        best = np.argmax(np.where(np.isfinite(votes), np.sum(near * scores[:, None], axis=2), -1.0), axis=1)
+        elected = votes[np.arange(len(votes)), best]
+        arrivals[:, column] = np.where(np.isfinite(elected), elected, arrivals[:, column])
+    return arrivals
 
 
 def _best_proposal(candidates: Candidates, pairs: NDArray[np.int32], n_channels: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The board's corners in the pictures: found in every frame, averaged over each pose."""
+"""The board's corners in the pictures: found in some frames of each pose, and averaged over them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from calib.errors import NotEnoughDataError
 from rigs.board import find_corners, movement_px
+from rigs.description import MIN_POSES
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
 
-MIN_POSES = 4
-MIN_POSES_FOR_INTRINSICS = 6
 MIN_CORNERS = 8
 ABSURD_PX = 1e5
+_FRAMES_PER_POSE = 4  # the search for corners is most of the work, and their errors are mostly the same in each frame
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class PoseCorners:
     pose : (n_poses,) integer array
         The session's numbers of these poses.
     corners_px : (n_poses, n_corners, 2) array
-        Mean over the frames of the pose; NaN for hidden corners.
+        Mean over frames of the pose; NaN for hidden corners.
     warnings : list of str
         Which poses were left out, and why.
     """
@@ -53,9 +53,8 @@ def find_pose_corners(session: Session) -> PoseCorners:
         The session has too few poses, or the board was found in too few of them.
     """
     accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
-    needed, note = MIN_POSES, ""
-    if session.description.camera.intrinsics == "from session":
-        needed, note = MIN_POSES_FOR_INTRINSICS, f" ({MIN_POSES} with camera.intrinsics in the rig description)"
+    needed = session.description.min_poses
+    note = f" ({MIN_POSES} with camera.intrinsics in the rig description)" if needed > MIN_POSES else ""
     if len(accepted) < needed:
         raise NotEnoughDataError(
             f"the session has {len(accepted)} accepted poses, at least {needed} are needed{note}: capture a session "
@@ -90,7 +89,7 @@ def _with_enough_corners(found: PoseCorners) -> PoseCorners:
 
 def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
     board, still_px = session.description.board, session.description.capture.still_px
-    frames = np.flatnonzero(np.isin(session.frames["pose"], accepted))
+    frames = np.concatenate([_spread(np.flatnonzero(session.frames["pose"] == pose)) for pose in accepted])
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV lets go of the interpreter lock
         seen = list(pool.map(lambda frame: find_corners(session.picture(frame), board), frames.tolist()))
     poses, corners, warnings = [], [], []
@@ -108,6 +107,13 @@ def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
         corners.append(_mean_of_seen(np.array(views)))
     shape = (-1, board.corners[0] * board.corners[1], 2)
     return PoseCorners(np.array(poses, dtype=np.int32), np.array(corners).reshape(shape), warnings)
+
+
+def _spread(frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Choose some of the frames of a pose, the first and the last among them."""
+    if len(frames) <= _FRAMES_PER_POSE:
+        return frames
+    return np.asarray(frames[np.linspace(0, len(frames) - 1, _FRAMES_PER_POSE).round().astype(int)])
 
 
 def _mean_of_seen(views: FloatArray) -> FloatArray:

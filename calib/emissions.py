@@ -98,26 +98,26 @@ def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> Emission
         raise NotEnoughDataError(
             f"no emission was heard by any microphone ({reasons}): check buzzers, gains and signal"
         )
-    columns = np.array(list(combinations(range(session.n_channels), 2)), dtype=np.int32)
+    columns = np.array(list(combinations(range(len(sound.channels)), 2)), dtype=np.int32)
     tdoa_s = sound.arrival_s[:, columns[:, 1]] - sound.arrival_s[:, columns[:, 0]]
     limit_s = session.description.calibration.max_tdoa_s
     beyond = np.abs(tdoa_s) > limit_s
-    warnings = _channel_warnings(sound, session.channels) + _emission_warnings(sound)
+    warnings = _channel_warnings(sound) + _emission_warnings(sound)
     if beyond.mean() > NOTABLE_SHARE:
         warnings.append(
             f"{beyond.mean():.0%} of the TDOAs lie beyond calibration.max_tdoa_s, {limit_s:g} s: raise it in the rig "
             "description if microphones are further apart"
         )
-    emissions, pairs = session.emissions[rows], np.array(session.channels, dtype=np.int32)[columns]
+    emissions, pairs = session.emissions[rows], np.array(sound.channels, dtype=np.int32)[columns]
     tdoa_s = np.where(beyond, np.nan, tdoa_s)
     return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, pairs, warnings, sound)
 
 
-def _channel_warnings(sound: SoundArrivals, channels: tuple[int, ...]) -> list[str]:
+def _channel_warnings(sound: SoundArrivals) -> list[str]:
     """Say what is wrong with single channels."""
     heard, flaws = np.isfinite(sound.arrival_s), sound.flaws
     warnings = []
-    for column, channel in enumerate(channels):
+    for column, channel in enumerate(sound.channels):
         share = float(heard[:, column].mean())
         if share == 0:
             why = "".join(f" ({flaw})" for flaw in flaws.of_channel(column) if flaw not in HARMLESS)
@@ -131,7 +131,7 @@ def _channel_warnings(sound: SoundArrivals, channels: tuple[int, ...]) -> list[s
     clipped = flaws.table.get(Flaw.CLIPPED, np.zeros(heard.shape)).mean(axis=0)
     warnings += [
         f"channel {channel} clipped in {share:.0%} of the emissions: turn its gain down and capture again"
-        for channel, share in zip(channels, clipped, strict=True)
+        for channel, share in zip(sound.channels, clipped, strict=True)
         if share > NOTABLE_SHARE
     ]
     return warnings

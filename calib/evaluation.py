@@ -28,6 +28,8 @@ class Evaluation:
         The same after the best rigid alignment: the array's shape alone.
     distance_rmse_m : float
         Root mean square error of the distances between microphones: shape and scale, no frame needed.
+    rotation_deg : float
+        Angle of the best rigid alignment: how far the truth's frame is turned against the camera's.
     paper_rmse_m : float or None
         The paper's figure for 8 microphones: squared errors of microphones 1 to 7 summed, over 8.
     """
@@ -36,13 +38,16 @@ class Evaluation:
     rmse_m: float
     rmse_aligned_m: float
     distance_rmse_m: float
+    rotation_deg: float
     paper_rmse_m: float | None
 
 
 def evaluate(positions_m: FloatArray, truth_m: FloatArray, source: str) -> Evaluation:
     """Compare positions with the truth, both (n_mics, 3) in the camera frame."""
     errors_m = positions_m - truth_m
-    aligned_m = rigid_alignment(positions_m, truth_m).apply(positions_m) - truth_m
+    alignment = rigid_alignment(positions_m, truth_m)
+    aligned_m = alignment.apply(positions_m) - truth_m
+    cosine = np.clip((np.trace(alignment.rotation) - 1) / 2, -1.0, 1.0)
     distance_errors_m = pair_distances(positions_m) - pair_distances(truth_m)
     paper_rmse_m = None
     if len(positions_m) == PAPER_MICS:
@@ -52,6 +57,7 @@ def evaluate(positions_m: FloatArray, truth_m: FloatArray, source: str) -> Evalu
         rmse_m=_rms_length(errors_m),
         rmse_aligned_m=_rms_length(aligned_m),
         distance_rmse_m=float(np.sqrt(np.mean(distance_errors_m**2))),
+        rotation_deg=float(np.degrees(np.arccos(cosine))),
         paper_rmse_m=paper_rmse_m,
     )
 

@@ -33,7 +33,7 @@ class View:
 
     Parameters
     ----------
-    title : str
+    title, lag_label : str
     channels : tuple of int
     time_ms, samples : (n,), (n_channels, n) arrays
         The window.
@@ -41,18 +41,22 @@ class View:
         Filter output around the median arrival, or correlation with the first channel; each scaled to 1.
     chosen_ms : (n_channels,) array
         What was chosen, on the axis of `lag_ms`; NaN where rejected.
+    span_ms : (n_channels, 2) array
+        Where in the window the sound was taken to be; NaN where it was not found.
     std_us : (n_channels,) array
     verdict : list of str
         For each channel.
     """
 
     title: str
+    lag_label: str
     channels: tuple[int, ...]
     time_ms: FloatArray
     samples: NDArray[np.float32]
     lag_ms: FloatArray
     correlation: FloatArray
     chosen_ms: FloatArray
+    span_ms: FloatArray
     std_us: FloatArray
     verdict: list[str]
 
@@ -118,7 +122,7 @@ def draw(view: View, path: Path) -> None:
     for column in range(n_channels):
         _draw_channel(view, column, *axes[column])
     axes[-1][0].set_xlabel("time in the window, ms")
-    axes[-1][1].set_xlabel("after the median arrival (matched), or lag behind the first channel (gcc-phat), ms")
+    axes[-1][1].set_xlabel(view.lag_label)
     figure.savefig(path)
 
 
@@ -176,7 +180,11 @@ def _view(
     scaled = output / np.maximum(np.abs(output).max(axis=1, keepdims=True), 1e-30)
     verdict = [_verdict(sound.flaws.of_arrival(row, column)) for column in range(len(samples))]
     std_us = 1e6 * sound.std_s[row]
-    return View(title, session.channels, time_ms, samples, lag_ms, scaled, chosen_ms, std_us, verdict)
+    begin_s = sound.arrival_s[row] - windows.first_samples[row] / windows.sample_rate_hz
+    begin_s = begin_s if sound.mode == "matched" else np.full_like(begin_s, np.nan)
+    span_ms = 1e3 * (begin_s[:, None] + np.array([0.0, windows.n_played / windows.sample_rate_hz]))
+    lag_label = f"{'after the median arrival' if sound.mode == 'matched' else 'behind the first channel'}, ms"
+    return View(title, lag_label, sound.channels, time_ms, samples, lag_ms, scaled, chosen_ms, span_ms, std_us, verdict)
 
 
 def _verdict(flaws: list[Flaw]) -> str:
@@ -186,6 +194,8 @@ def _verdict(flaws: list[Flaw]) -> str:
 
 def _draw_channel(view: View, column: int, left: Any, right: Any) -> None:
     left.plot(view.time_ms, view.samples[column], linewidth=0.4)
+    if np.isfinite(view.span_ms[column]).all():
+        left.axvspan(*view.span_ms[column], color="tab:green", alpha=0.15)
     left.set_ylabel(f"ch {view.channels[column]}")
     right.plot(view.lag_ms, view.correlation[column], linewidth=0.7)
     candidates = view.candidates(column)

@@ -167,9 +167,9 @@ class MatchedFilter:
         amplitude = value / np.maximum(self.pulses[:, 0], 1e-300)
         disturbance = self._disturbance(real, first, amplitude)
         misfit = self._misfit(real, place, amplitude, disturbance)
-        with np.errstate(divide="ignore"):
-            std = self.std_at_amplitude_1 / np.abs(amplitude) * disturbance * np.maximum(misfit / USUAL_MISFIT, 1.0)
-        height = np.abs(value) / (self.noise_rms * disturbance)
+        std = self.std_at_amplitude_1 / np.maximum(np.abs(amplitude), 1e-12) * disturbance
+        std *= np.maximum(misfit / USUAL_MISFIT, 1.0)
+        height = np.abs(value) / np.maximum(self.noise_rms * disturbance, 1e-300)
         echo = self._echo(real, amplitude)
         return Peaks(place, std, amplitude, height, disturbance, misfit, second, second_lag, echo)
 

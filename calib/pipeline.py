@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from calib.answer import Answer
 from calib.cache import ArrivalCache
 from calib.corners import find_pose_corners
@@ -13,9 +15,11 @@ from calib.evaluation import Evaluation, evaluate
 from calib.joint.session import answer_jointly
 from calib.measurements import Measurements
 from calib.methods import check_heard, microphone_channels
+from calib.order import order_doubts
 from calib.result import Calibration
 from calib.settings import Settings
 from calib.sound_report import sound_report
+from rigs.description import RigDescription
 from rigs.session.reader import Session
 
 
@@ -53,6 +57,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         view=answer.view,
         residual=answer.residual,
         evaluation=_evaluation(session, channels, answer),
+        held_out=answer.held_out,
         sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
         warnings=[
             *session_doubts(session),
@@ -61,9 +66,18 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
             *view_doubts(answer.view),
             *speed_doubts(answer.speed_of_sound_m_s, description.medium),
             *answer.warnings,
+            *_order_doubts(description, channels, answer),
             *spread_doubts(answer.covariance_m2, channels),
         ],
     )
+
+
+def _order_doubts(description: RigDescription, channels: tuple[int, ...], answer: Answer) -> list[str]:
+    expected = description.audio.expected_positions_m
+    if expected is None:
+        return []
+    rows = [description.audio.channels.index(channel) for channel in channels]
+    return order_doubts(answer.microphones_m, np.array(expected)[rows], channels)
 
 
 def _evaluation(session: Session, channels: tuple[int, ...], answer: Answer) -> Evaluation | None:

@@ -98,8 +98,8 @@ class Listener:
             matched = self.filter(int(buzzer))
             for sound in self._windows.batches(np.flatnonzero(self._buzzer == buzzer)):
                 not_numbers[sound.rows] = sound.not_numbers
-                level[sound.rows] = np.sqrt(np.mean(sound.samples**2, axis=2, dtype=float))
-                clipped[sound.rows] = (np.abs(sound.samples) >= clip_level).any(axis=2)
+                level[sound.rows] = sound.rms()
+                clipped[sound.rows] = sound.peak() >= clip_level
                 if matched is not None:
                     peaks = matched.peaks(sound)
                     for name, column in table.items():

@@ -36,6 +36,25 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """How well poses are predicted that took no part in the solve.
+
+    Parameters
+    ----------
+    median_s : float
+        Median absolute TDOA residual.
+    robust_sigma_s : float
+        1.4826 times that.
+    spread_m : float
+        Root mean square distance of a fold's microphones from their mean over the folds.
+    """
+
+    median_s: float
+    robust_sigma_s: float
+    spread_m: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Microphones in the camera frame.
 
@@ -58,6 +77,8 @@ class Calibration:
     warnings : list of str
     sound : dict or None
         What was heard and what was wrong with it, in plain values; None where TDOAs were not measured in sound.
+    held_out : HeldOut or None
+        None for the paper's methods.
     """
 
     session_name: str
@@ -73,6 +94,7 @@ class Calibration:
     evaluation: Evaluation | None
     warnings: list[str]
     sound: dict[str, Any] | None = None
+    held_out: HeldOut | None = None
 
     @property
     def std_m(self) -> FloatArray:
@@ -119,6 +141,8 @@ def as_document(result: Calibration) -> dict[str, Any]:
         "warnings": list(result.warnings),
         "session": {"name": result.session_name, "sha256": result.session_sha256},
     }
+    if result.held_out is not None:
+        document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
     if result.sound is not None:
         document["sound"] = result.sound
     if result.evaluation is not None:

@@ -60,6 +60,11 @@ def _fit_table(result: Calibration) -> Table:
         else f" +- {result.speed_of_sound_std_m_s:.2f}"
     )
     total = residual.n_used + residual.n_rejected
+    held_out = []
+    if result.held_out is not None:
+        checked = result.held_out
+        words = f"{1e6 * checked.robust_sigma_s:.2f} us robust sigma, folds spread by {1e3 * checked.spread_m:.2f} mm"
+        held_out = [("held-out poses", words)]
     focal = ", ".join(f"{value:.1f}" for value in view.intrinsics.focal_px)
     return _pairs_table(
         [
@@ -68,6 +73,7 @@ def _fit_table(result: Calibration) -> Table:
                 "TDOA residual",
                 f"{1e6 * residual.robust_sigma_s:.2f} us robust sigma, {1e6 * residual.rms_s:.2f} us rms",
             ),
+            *held_out,
             ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected"),
             ("speed of sound", speed),
             ("camera", f"focal length {focal} px, from the {view.source}"),
@@ -80,7 +86,10 @@ def _evaluation_table(evaluation: Evaluation) -> Table:
     rows = [
         ("truth", evaluation.truth),
         ("RMSE, all microphones", f"{1e3 * evaluation.rmse_m:.2f} mm in the camera frame"),
-        ("after rigid alignment", f"{1e3 * evaluation.rmse_aligned_m:.2f} mm"),
+        (
+            "after rigid alignment",
+            f"{1e3 * evaluation.rmse_aligned_m:.2f} mm, turned by {evaluation.rotation_deg:.1f} degrees",
+        ),
         ("distances", f"{1e3 * evaluation.distance_rmse_m:.2f} mm between microphones"),
     ]
     if evaluation.paper_rmse_m is not None:

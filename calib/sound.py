@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.background import Background, listen
+from calib.background import listen
 from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
-from calib.gcc import PairCorrelator
-from calib.receptions import Listener, find_flaws
+from calib.gcc import PairCorrelator, candidates_of
+from calib.receptions import SILENT_RMS, Listener, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
 from rigs.waveform import Waveform
@@ -37,6 +37,8 @@ class SoundArrivals:
         How they were measured.
     rows : (n_emissions,) integer array
         Of the session's table of emissions.
+    channels : tuple of int
+        Input channel of each microphone.
     arrival_s : (n_emissions, n_channels) array
         Since the session's first sample ("matched"), or since the mean over the channels ("gcc-phat"); NaN where
         there is none, or it was rejected.
@@ -48,6 +50,7 @@ class SoundArrivals:
 
     mode: str
     rows: RowArray
+    channels: tuple[int, ...]
     arrival_s: FloatArray
     std_s: FloatArray
     flaws: Flaws
@@ -124,7 +127,7 @@ def _kept(
 ) -> SoundArrivals:  # fmt: skip
     """Keep what was not rejected, in seconds."""
     arrival_s, std_s = (np.where(flaws.rejected, np.nan, value) / windows.sample_rate_hz for value in (place, std))
-    return SoundArrivals(mode, rows, arrival_s, std_s, flaws, quality)
+    return SoundArrivals(mode, rows, windows.channels, arrival_s, std_s, flaws, quality)
 
 
 def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundArrivals:
@@ -138,10 +141,10 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     clipped, not_numbers = np.zeros((2, *shape), dtype=bool)
     pairs = correlator.pairs(windows.n_channels)
     for sound in windows.batches(np.arange(len(rows))):
-        found = agree(correlator.candidates(sound.samples), pairs, windows.n_channels)
+        found = agree(candidates_of(correlator, sound.samples), pairs, windows.n_channels)
         place[sound.rows], std[sound.rows], quality[sound.rows] = found.arrivals, found.std, found.quality
-        loud[sound.rows] = _is_loud(sound.samples, background)
-        clipped[sound.rows] = (np.abs(sound.samples) >= session.description.capture.clip_level).any(axis=2)
+        loud[sound.rows] = sound.rms() > LOUD_RATIO * np.maximum(background.rms, SILENT_RMS)
+        clipped[sound.rows] = sound.peak() >= session.description.capture.clip_level
         not_numbers[sound.rows] = sound.not_numbers
     flaws.add(Flaw.CUT_OFF, (windows.held_samples() < windows.n_samples)[:, None])
     flaws.add(Flaw.NOT_NUMBERS, not_numbers)
@@ -150,8 +153,3 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     flaws.add(Flaw.CLIPPED, clipped)
     flaws.add(Flaw.HUM, background.humming)
     return _kept("gcc-phat", rows, windows, place, std, flaws, quality)
-
-
-def _is_loud(samples: NDArray[np.float32], background: Background) -> NDArray[np.bool_]:
-    rms = np.sqrt(np.mean(samples**2, axis=2, dtype=float))
-    return np.asarray(rms > LOUD_RATIO * np.maximum(background.rms, 1e-9))

@@ -16,13 +16,14 @@ def sound_report(session: Session, sound: SoundArrivals) -> dict[str, Any]:
     heard = np.isfinite(sound.arrival_s)
     channels = [
         {"channel": int(channel), "flaws": [str(flaw) for flaw in sound.flaws.of_channel(column)]}
-        for column, channel in enumerate(session.channels)
+        for column, channel in enumerate(sound.channels)
     ]
     emissions = [_emission(session, sound, row) for row in range(len(sound.rows))]
     return {
         "tdoa": sound.mode,
         "n_emissions": len(sound.rows),
         "n_left_out": int((heard.sum(axis=1) < 2).sum()),
+        "quality": round(float(np.median(sound.quality)), 3),
         "arrival_std_s": float(f"{np.median(sound.std_s[heard]):.3g}"),
         "channels": [one for one in channels if one["flaws"]],
         "emissions": [one for one in emissions if one["flaws"]],
@@ -32,7 +33,7 @@ def sound_report(session: Session, sound: SoundArrivals) -> dict[str, Any]:
 def _emission(session: Session, sound: SoundArrivals, row: int) -> dict[str, Any]:
     emission = session.emissions[sound.rows[row]]
     flaws = {
-        str(flaw): [int(channel) for channel, hit in zip(session.channels, mask[row], strict=True) if hit]
+        str(flaw): [int(channel) for channel, hit in zip(sound.channels, mask[row], strict=True) if hit]
         for flaw, mask in sound.flaws.table.items()
         if flaw not in OF_CHANNELS and mask[row].any()
     }
@@ -40,6 +41,7 @@ def _emission(session: Session, sound: SoundArrivals, row: int) -> dict[str, Any
         "emission": int(sound.rows[row]),
         "pose": int(emission["pose"]),
         "buzzer": int(emission["buzzer"]),
+        "quality": round(float(sound.quality[row]), 3),
         "left_out": bool(np.isfinite(sound.arrival_s[row]).sum() < 2),
         "flaws": flaws,
     }

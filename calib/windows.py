@@ -36,6 +36,15 @@ class Sound:
     samples: NDArray[np.float32]
     not_numbers: NDArray[np.bool_]
 
+    def peak(self) -> NDArray[np.float32]:
+        """Return the largest magnitude (n, n_channels)."""
+        return np.asarray(np.maximum(self.samples.max(axis=2), -self.samples.min(axis=2)))
+
+    def rms(self) -> FloatArray:
+        """Return the root mean square (n, n_channels)."""
+        energy = np.einsum("ncs,ncs->nc", self.samples, self.samples)
+        return np.asarray(np.sqrt(energy / self.samples.shape[2]), dtype=float)
+
 
 class EmissionWindows:
     """Windows of equal length around where emissions are expected; the beginning of each is before the sound.
@@ -65,6 +74,7 @@ class EmissionWindows:
         self, session: Session, expected_samples: NDArray[np.integer], duration_s: float, tolerance_s: float
     ) -> None:
         self._session = session
+        self._columns = list(session.microphone_columns)
         self.sample_rate_hz = session.sample_rate_hz
         n_before = round((FLIGHT_S + tolerance_s) * self.sample_rate_hz)
         self.n_quiet = round(FLIGHT_S * self.sample_rate_hz)
@@ -75,8 +85,13 @@ class EmissionWindows:
 
     @property
     def n_channels(self) -> int:
-        """Channels of the session."""
-        return self._session.n_channels
+        """How many microphones there are."""
+        return len(self._columns)
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Input channel of each microphone."""
+        return tuple(self._session.channels[column] for column in self._columns)
 
     def held_samples(self) -> NDArray[np.int64]:
         """Return how many samples (n_emissions,) of each window come before the end of the session."""
@@ -95,9 +110,9 @@ class EmissionWindows:
         for window, first in zip(samples, self.first_samples[rows], strict=True):
             begin, end = max(int(first), 0), min(int(first) + n_wanted, self._session.n_samples)
             if begin < end:
-                window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T
-        numbers = np.isfinite(samples)
-        not_numbers = np.asarray(~numbers.all(axis=2))
+                window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T[self._columns]
+        with np.errstate(invalid="ignore", over="ignore"):
+            not_numbers = ~np.isfinite(samples.sum(axis=2, dtype=float))  # one such sample spoils the sum
         if not_numbers.any():
-            samples[~numbers] = 0.0
+            samples[~np.isfinite(samples)] = 0.0
         return Sound(rows, samples, not_numbers)

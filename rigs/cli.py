@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -14,7 +15,7 @@ from rigs.session.aislab_command import import_group
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="acoustic-camera-rig")
 def cli() -> None:
-    """Look into session files, and make them from published measurements."""
+    """Look into session files, recover damaged ones, and make them from published measurements."""
 
 
 @cli.command()
@@ -28,6 +29,30 @@ def info(file: Path, verify: bool) -> int:
     from rigs.session.info import show
 
     return show(file, verify=verify)
+
+
+@cli.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Session file to make.")
+def recover(file: Path, output: Path) -> None:
+    """Copy the good part of a cut-off or damaged session FILE to a new one, and tell what was kept and dropped.
+
+    FILE is never changed, and nothing is written over. Damaged sound becomes silence of the same length.
+
+    Exit code: 0 good, 2 wrong usage, 3 the disk is full, 5 nothing can be recovered.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from rigs.session.recover import recover as recover_session
+
+    console = Console(stderr=True)
+    watch = partial(track, console=console, transient=True, disable=not console.is_terminal)
+    recovery = recover_session(file, output, watch)
+    click.echo(f"kept     {recovery.kept()}")
+    for line in recovery.dropped or ["nothing"]:
+        click.echo(f"dropped  {line}")
+    click.echo(f"{output}: a complete session; {file} is as it was")
 
 
 cli.add_command(import_group)

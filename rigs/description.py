@@ -15,6 +15,9 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 
 from rigs.waveform import Waveform
 
+MIN_POSES = 4  # that a session needs before it can be calibrated
+MIN_POSES_FOR_INTRINSICS = 6  # where the camera's intrinsics are to be found from it, too
+
 Channel = Annotated[int, Field(ge=1, le=1024)]
 Length = Annotated[float, Field(gt=0, le=0.5)]
 Coordinate = Annotated[float, Field(ge=-20, le=20)]
@@ -54,19 +57,34 @@ class Audio(Section):
         min_length=4, max_length=64, description="input channel of each microphone, counted from 1, microphone 1 first"
     )
     reference_microphone: ReferenceMicrophone | None = None
+    expected_positions_m: tuple[Position, ...] | None = Field(
+        None, description="about where each microphone is, in the camera frame: lets rig-check name swapped channels"
+    )
+    sync_channel: Channel | None = Field(
+        None, description="input channel, counted from 1, that is wired to the trigger board's sync output"
+    )
 
     @model_validator(mode="after")
     def _channels_differ(self) -> Audio:
         recorded = self.recorded_channels()
         twice = sorted({channel for channel in recorded if recorded.count(channel) > 1})
         if twice:
-            raise ValueError(f"channel {twice[0]} is listed twice: every microphone needs a channel of its own")
+            raise ValueError(
+                f"channel {twice[0]} is listed twice: every microphone, and the sync output, needs a channel of its own"
+            )
+        expected = self.expected_positions_m
+        if expected is not None and len(expected) != len(self.channels):
+            raise ValueError(f"expected_positions_m has {len(expected)} places, give one for each of audio.channels")
         if self.driver == "portaudio" and self.device is None:
             raise ValueError("driver portaudio needs a device: add 'device: {name: ...}'")
         return self
 
     def recorded_channels(self) -> tuple[int, ...]:
-        """Return the input channels in the order of the columns of `time_data`: microphones, then the reference."""
+        """Return the input channels in the order of the columns of `time_data`: microphones, reference, sync output."""
+        return self.microphone_channels() + (() if self.sync_channel is None else (self.sync_channel,))
+
+    def microphone_channels(self) -> tuple[int, ...]:
+        """Return the input channels of the microphones, the first columns of `time_data`; the reference is the last."""
         extra = (self.reference_microphone.channel,) if self.reference_microphone else ()
         return self.channels + extra
 
@@ -294,14 +312,18 @@ class Capture(Section):
         0.3, gt=0, le=10, description="how far a still board may move between frames, root mean square of its corners"
     )
     still_s: float = Field(0.5, ge=0, le=30, description="how long the board must be still before the first buzzer")
-    frame_interval_s: float = Field(1.0, gt=0, le=60, description="time between stored frames of a pose")
+    frame_interval_s: float = Field(0.2, gt=0, le=60, description="time between stored frames of a pose")
     pose_timeout_s: float = Field(120.0, gt=0, le=36000, description="how long to wait for a still, found board")
     new_pose_px: float = Field(
         10.0, ge=0, le=1000, description="movement that makes a new pose, root mean square of the corners"
     )
+    max_blur_px: float = Field(
+        2.0, gt=0, le=50, description="a board with blurrier edges is not captured: standard deviation of the blur"
+    )
     min_level_dbfs: float = Field(-60.0, ge=-120, le=0, description="an emission quieter than this is not accepted")
     clip_level: float = Field(0.99, gt=0, le=1, description="samples beyond this share of full scale are clipped")
     onset_tolerance_s: float = Field(0.03, gt=0, le=1, description="how far an onset may lie from where it is expected")
+    device_wait_s: float = Field(30.0, ge=0, le=3600, description="how long to wait for a device that was lost")
     retries: int = Field(2, ge=0, le=20, description="how often a bad emission is fired again")
 
 
@@ -330,15 +352,20 @@ class Fault(Section):
 
     kind: Literal[
         "dead_channel", "silent_buzzer", "loud_channel", "audio_overflow", "board_moves", "trigger_lost", "audio_lost",
-        "camera_lost",
+        "camera_lost", "trigger_reset", "camera_frozen", "clock_jump",
+        "weak_channel", "noisy_channel", "humming_channel", "inverted_channel", "duplicate_channel", "swapped_channel",
+        "blurred", "overexposed",
     ]  # fmt: skip
-    channel: Channel | None = Field(None, description="dead_channel, loud_channel: which")
+    channel: Channel | None = Field(
+        None, description="faults of a channel: which (and the next one, where it takes two)"
+    )
     buzzer: int | None = Field(None, ge=1, le=255, description="silent_buzzer: which")
     pose: int = Field(0, ge=0, description="the first pose (counted from 0) at which it happens")
+    duration_s: float | None = Field(None, gt=0, description="trigger_lost, audio_lost, camera_lost: for how long")
 
     @model_validator(mode="after")
     def _names_what_it_hits(self) -> Fault:
-        if self.kind in ("dead_channel", "loud_channel") and self.channel is None:
+        if self.kind.endswith("_channel") and self.channel is None:
             raise ValueError(f"fault {self.kind} needs a channel: add 'channel: 3'")
         if self.kind == "silent_buzzer" and self.buzzer is None:
             raise ValueError("fault silent_buzzer needs a buzzer: add 'buzzer: 2'")
@@ -371,6 +398,11 @@ class RigDescription(Section):
     capture: Capture = Capture()
     calibration: Calibration = Calibration()
     simulation: Simulation = Simulation()
+
+    @property
+    def min_poses(self) -> int:
+        """How many poses a session of this rig needs before it can be calibrated."""
+        return MIN_POSES_FOR_INTRINSICS if self.camera.intrinsics == "from session" else MIN_POSES
 
     @model_validator(mode="after")
     def _signal_fits_sample_rate(self) -> RigDescription:

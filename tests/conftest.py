@@ -18,6 +18,8 @@ from rigs.library import find_description
 from rigs.session.layout import MeasuredTdoas, Truth
 from rigs.session.writer import SessionWriter
 
+LONGEST_FIRST = ("test_virtual_bench_session", "test_end_to_end", "test_acquire_board_simboard")
+
 SPEED_M_S = 343.0
 MICROPHONES_M = np.array(
     [
@@ -159,3 +161,8 @@ def write_measured_session(
                     accepted=True,
                 )
     return path
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what takes minutes, so that no core is left with it at the end."""
+    items.sort(key=lambda item: item.path.stem not in LONGEST_FIRST)

@@ -59,6 +59,21 @@ def add_pose(writer, pose, accepted=True):
             host_time_s=2.5,
             expected_sample=first + 10,
             accepted=accepted,
+            predicted_sample=first + 10.25,
+            predicted_std_s=0.001,
+            measured_sample=first + 11.0,
+            latency_s=0.05,
+        )
+        writer.append_ping(earliest_host_time_s=2.499, latest_host_time_s=2.501, board_time_s=1.5)
+        writer.append_clock_fit(
+            clock=b"session",
+            since_host_time_s=0.0,
+            host_time_s=0.0,
+            reading=0.0,
+            rate=RIG.audio.sample_rate_hz * (1 + 25e-6),
+            rate_std=1e-6,
+            std_s=1e-4,
+            n_readings=12,
         )
     writer.append_pose(pose=pose, start_host_time_s=1.0, end_host_time_s=2.0, accepted=accepted)
 

@@ -62,7 +62,7 @@ class Rig:
     def tdoas(self) -> EmissionTdoas:
         columns = np.array(list(combinations(range(8), 2)), dtype=np.int32)
         n = len(self.arrival_s)
-        sound = SoundArrivals("matched", np.arange(n), self.arrival_s, self.std_s, Flaws((n, 8)), np.ones(n))
+        sound = SoundArrivals("matched", np.arange(n), CHANNELS, self.arrival_s, self.std_s, Flaws((n, 8)), np.ones(n))
         buzzer = np.tile(np.arange(1, len(BUZZERS_M) + 1, dtype=np.int32), n // len(BUZZERS_M))
         tdoa_s = self.arrival_s[:, columns[:, 1]] - self.arrival_s[:, columns[:, 0]]
         return EmissionTdoas(self.pose, buzzer, tdoa_s, columns + 1, [], sound)

@@ -17,12 +17,21 @@ def framed(text: str) -> bytes:
     return b"%s*%02X\n" % (text.encode(), crc8(text.encode()))
 
 
+def half_with_checksum_0(seq: str) -> bytes:
+    """Return the first half of a reply to `play` whose CRC is 0: whatever is glued to it keeps a checksum that fits."""
+    halves = (f"{seq} ok on_us={number}".encode() for number in range(10_000_000))
+    return next(half for half in halves if crc8(half) == 0)
+
+
 class ScriptedBoard:
     """Answers as firmware does; `faults[verb]` is a list of faults, one for each coming command of that verb.
 
     lose command: not carried out; lose reply: carried out, events sent; lose all: carried out in silence;
     spoil command: checksum error; spoil reply: garbled; old reply: an older sequence number first; garbage: before the
-    reply; busy, fault: refused so; restart: forgets everything in mid-line; mute: no answer to anything any more.
+    reply; noise before: a line of noise came before the command, and is answered first; busy, fault: refused so;
+    restart: forgets everything in mid-line; unlucky restart: and the checksum of that half line is 0, so that it fits
+    what follows as well; late reply: restart, and the reply to this one comes right before that to the next
+    command `late_for`; mute: no answer to anything any more.
     """
 
     def __init__(self, *, hello: str = HELLO, raw: bytes | None = None) -> None:
@@ -34,8 +43,10 @@ class ScriptedBoard:
         self.commands: list[str] = []
         self.started: list[int] = []
         self.state = "idle"
+        self.play_lag_s = 0.0  # how much longer a sound lasts than it was told to
         self._ends = False
         self._mute = False
+        self.late_for, self._late = "", b""
         self._restart()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
@@ -66,6 +77,9 @@ class ScriptedBoard:
     def _now_us(self) -> int:
         return round(1e6 * (time.monotonic() - self._start_s)) % (1 << 32)
 
+    def _state(self) -> str:
+        return "playing" if self.state == "idle" and self._now_us() < self._busy_until_us else self.state
+
     def _serve(self) -> None:
         os.set_blocking(self._master, False)
         rest = b""
@@ -87,22 +101,37 @@ class ScriptedBoard:
         assert digits == f"{crc8(text.encode()):02X}"
         self.commands.append(text)
         seq, verb, *arguments = text.split(" ")
+        self._say_late(verb)
         fault = self.faults[verb].pop(0) if self.faults[verb] else ""
         if verb == "play" and self._now_us() < self._busy_until_us:
             fault = "busy"
         refusals = {"spoil command": "0 err 1 checksum", "busy": f"{seq} err 6 busy", "fault": f"{seq} err 8 fault"}
         if fault in refusals:
             self.say(framed(refusals[fault]))
-        elif fault == "restart":
-            self.say(f"{seq} ok on_u".encode())
-            self.restart()
+        elif fault in ("restart", "unlucky restart", "late reply"):
+            self._restart_instead(fault, seq)
         elif fault != "lose command":
             self._mute = fault == "mute"
             reply = self._reply(seq, verb, arguments, silent=fault in ("lose all", "mute"))
             if fault not in ("lose reply", "lose all", "mute"):
                 self._send(framed(f"{seq} ok {reply}"), fault, seq)
 
+    def _say_late(self, verb: str) -> None:
+        if verb == self.late_for:
+            self.say(self._late)
+            self._late = b""
+
+    def _restart_instead(self, fault: str, seq: str) -> None:
+        if fault == "late reply":
+            self._late = framed(f"{seq} ok was=0")
+        else:
+            self.say(f"{seq} ok on_u".encode() if fault == "restart" else half_with_checksum_0(seq))
+        self.restart()
+
     def _send(self, reply: bytes, fault: str, seq: str) -> None:
+        if fault == "noise before":
+            self.say(framed("0 err 2 line"))
+            time.sleep(0.02)
         if fault == "spoil reply":
             reply = reply.replace(b"=", b"-")
         elif fault == "old reply":
@@ -115,7 +144,7 @@ class ScriptedBoard:
         if verb == "play":
             self.plays += 1
             self.started.append(self._now_us())
-            self._busy_until_us = self.started[-1] + int(arguments[-1])  # the duration, of a sweep
+            self._busy_until_us = self.started[-1] + int(arguments[-1]) + round(1e6 * self.play_lag_s)
             if not silent:
                 self.say(framed(f"! on buzzer=1 us={self.started[-1]} seq={seq}"))
             return f"on_us={self.started[-1]}"
@@ -123,5 +152,5 @@ class ScriptedBoard:
             "hello": self.hello,
             "stop": "was=0",
             "ping": f"us={self._now_us()}",
-            "status": f"state={self.state} buzzer=0 us=1 plays={self.plays} errors=0 fault=0 reset=power",
+            "status": f"state={self._state()} buzzer=0 us=1 plays={self.plays} errors=0 fault=0 reset=power",
         }[verb]

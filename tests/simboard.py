@@ -81,12 +81,38 @@ def read_trace(path: Path) -> Trace:
 
 
 @dataclass(frozen=True)
+class Pace:
+    """When the simulated board really ran, as it wrote down itself every 0.2 ms.
+
+    Parameters
+    ----------
+    board_s : (n,) array
+        Board time since power-on.
+    host_s : (n,) array
+        The host's monotonic clock then.
+    """
+
+    board_s: NDArray[np.float64]
+    host_s: NDArray[np.float64]
+
+    def host_time_s(self, board_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return when it was, by the host's clock, that the board came to these times since power-on."""
+        return np.interp(board_s, self.board_s, self.host_s)
+
+    def late_s(self, board_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far the board was then behind where a real one, which never stands still, would have been."""
+        delay_s = self.host_s - self.board_s
+        return self.host_time_s(board_s) - board_s - delay_s.min()
+
+
+@dataclass(frozen=True)
 class SimulatedBoard:
     """A running simulated board."""
 
     port: str
     pid: int
     trace_path: Path
+    pace_path: Path
 
     def reset(self) -> None:
         """Press its reset button."""
@@ -95,6 +121,12 @@ class SimulatedBoard:
     def trace(self) -> Trace:
         """Return what its pins did; up to 5 ms of board time may still be missing while it runs."""
         return read_trace(self.trace_path)
+
+    def pace(self) -> Pace:
+        """Return when it ran; up to 5 ms of board time may still be missing while it runs."""
+        rows = self.pace_path.read_text().rpartition("\n")[0].splitlines()[1:]
+        cycle, nanoseconds = np.array([row.split() for row in rows], dtype=np.int64).T
+        return Pace(cycle / CPU_HZ, 1e-9 * nanoseconds)
 
     def settle(self, board_s: float = 0.01) -> None:
         """Wait until that much of the board's own time has passed, and what happened till now is in the trace."""
@@ -210,15 +242,15 @@ def running_board(
         make("optiboot")
     flags = [flag for flag, is_set in (("--dtr", dtr), ("--fast", fast)) if is_set]
     with TemporaryDirectory() as folder:
-        trace = Path(folder) / "trace.txt"
-        words = [BUILD / "simboard", "--mcu", mcu, "--trace", trace, *flags, *images]
+        trace, pace = Path(folder) / "trace.txt", Path(folder) / "pace.txt"
+        words = [BUILD / "simboard", "--mcu", mcu, "--trace", trace, "--pace", pace, *flags, *images]
         command = [str(word) for word in words]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as board:
             try:
                 assert board.stdout is not None
                 port = board.stdout.readline().strip()
                 assert port, f"the simulated board did not start: {command}"
-                yield SimulatedBoard(port, board.pid, trace)
+                yield SimulatedBoard(port, board.pid, trace, pace)
             finally:
                 board.terminate()
                 ended = board.wait(timeout=10)

@@ -87,6 +87,19 @@ def test_times_just_before_the_wrap_stay_before_it():
     assert clock.board_s(1, START_S + 4295.0) == pytest.approx(4294.967297)
 
 
+@pytest.mark.parametrize("rate", [1.0, 1.003])
+def test_the_stated_uncertainty_holds_the_true_time(rate):
+    """Replies are held up more than commands, always; no number of pings shows it, so the statement allows for it."""
+    clock = BoardClock()
+    for host_s in START_S + np.linspace(1, 60, 60):
+        clock.add(host_s - 0.0005, host_s + 0.003, round(1e6 * rate * (host_s - START_S)))
+    fit = clock.fit()
+    error_s = clock.host_s(rate * 30) - (START_S + 30)
+    assert 0.0003 < abs(error_s) < 3 * fit.std_s < 0.005
+    assert abs(fit.rate - rate) < 4 * fit.rate_std < 1e-4
+    assert (fit.since_s, fit.n_readings) == (pytest.approx(START_S + 1, abs=0.01), 60)
+
+
 def test_an_unknown_clock_is_not_guessed():
     with pytest.raises(RuntimeError, match="before the first ping"):
         BoardClock().host_s(1.0)

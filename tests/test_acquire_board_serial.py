@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 from scripted_board import HELLO, ScriptedBoard, framed
 
+from acquire.devices.board_link import BoardLink
 from acquire.devices.board_serial import SerialBoard
-from acquire.errors import DeviceError, FirmwareError
+from acquire.errors import DeviceError, DeviceRestartedError, FirmwareError
 from rigs.waveform import Waveform
 
 SHORT = Waveform("sweep", 0.005, 1000.0, 8000.0)
+LONG = Waveform("sweep", 0.4, 1000.0, 8000.0)
 
 
 @pytest.fixture(autouse=True)
@@ -105,42 +107,116 @@ def test_a_board_that_falls_mute_is_named(opened, scripted):
         opened.play(1, SHORT)
 
 
-def test_a_board_that_restarted_between_emissions_is_connected_again(opened, scripted):
+def test_a_board_that_restarted_between_emissions_says_so_and_is_opened_again(opened, scripted):
     played(opened, scripted)
     scripted.restart()
-    start = played(opened, scripted)
-    assert start.board_time_s < 3
-    assert scripted.verbs().count("hello") == 2
-
-
-def test_a_board_that_restarts_on_play_is_connected_again(opened, scripted):
-    scripted.faults["play"] = ["restart"]
-    played(opened, scripted)
-    assert scripted.plays == 1
-
-
-def test_a_board_that_restarts_again_and_again_is_given_up(opened, scripted):
-    scripted.faults["play"] = ["restart"] * 9
-    with pytest.raises(DeviceError, match=r"restarted \(reset=brownout\): check its cable and its power"):
+    with pytest.raises(DeviceRestartedError, match=r"restarted \(reset=brownout\): check its cable and its power"):
         opened.play(1, SHORT)
     with pytest.raises(DeviceError, match="not open"):
         opened.play(1, SHORT)
+    opened.open()
+    assert played(opened, scripted).board_time_s < 3
 
 
-def test_a_board_that_is_pulled_out_is_named(monkeypatch):
-    monkeypatch.setattr("acquire.devices.board_serial._RECONNECT_S", 0.0)
+@pytest.mark.parametrize("verb", ["hello", "stop", "status", "ping", "play"])
+def test_a_late_reply_to_an_earlier_link_is_not_taken_for_ours(opened, scripted, verb):
+    scripted.faults["play"], scripted.late_for = ["late reply"], verb
+    with pytest.raises(DeviceRestartedError):
+        opened.play(1, SHORT)
+    opened.open()
+    played(opened, scripted)
+    assert scripted.plays == 1
+    assert scripted.verbs().count("play") == 2
+
+
+def test_a_reply_that_came_while_the_host_stood_still_is_read(opened, scripted, monkeypatch):
+    sent = BoardLink._send
+
+    def stand_still_after(link, line):
+        sent(link, line)
+        time.sleep(0.4)  # longer than the host waits
+
+    monkeypatch.setattr("acquire.devices.board_link.BoardLink._send", stand_still_after)
+    n_commands = len(scripted.commands)
+    played(opened, scripted)
+    assert scripted.verbs()[n_commands:] == ["ping", "play"]
+
+
+def test_no_number_is_used_on_two_links(scripted, monkeypatch):
+    monkeypatch.setattr("time.monotonic_ns", lambda: 7_000_000_000)  # links that number by the clock would clash
+    for _ in range(3):
+        board = SerialBoard(scripted.port, SHORT, [1])
+        board.open()
+        board.close()
+    numbers = [command.split(" ")[0] for command in scripted.commands]
+    assert len(set(numbers)) == len(numbers) > 30
+
+
+@pytest.mark.parametrize("fault", ["restart", "unlucky restart"])
+def test_a_board_that_restarts_on_play_says_so(opened, scripted, fault):
+    scripted.faults["play"] = [fault]
+    with pytest.raises(DeviceRestartedError):
+        opened.play(1, SHORT)
+    assert scripted.plays == 0
+
+
+def test_a_board_that_restarts_while_it_sounds_says_so_when_its_clock_is_read(opened, scripted):
+    played(opened, scripted)
+    scripted.restart()
+    with pytest.raises(DeviceRestartedError):
+        opened.read_clock()
+
+
+def test_readings_of_the_clock_are_given_once(opened, scripted):
+    assert len(opened.read_clock()) == 9  # eight of the opening
+    played(opened, scripted)
+    first, second = opened.read_clock()
+    assert first.earliest_s < first.latest_s < second.latest_s
+    assert first.board_s < scripted.started[-1] * 1e-6 < second.board_s
+
+
+def test_a_board_that_is_pulled_out_is_named():
     with ScriptedBoard() as scripted:
         board = SerialBoard(scripted.port, SHORT, [1])
         board.open()
-    with pytest.raises(DeviceError, match=r"the board is gone .* did not come back: .* there is no such port"):
+    with pytest.raises(DeviceError, match=r"the board is gone"):
         board.play(1, SHORT)
+    with pytest.raises(DeviceError, match="there is no such port"):
+        board.open()
     board.close()
 
 
 def test_a_busy_board_is_not_disturbed(opened, scripted):
-    scripted.faults["play"] = ["busy"]
+    opened.play(1, LONG)
     with pytest.raises(DeviceError, match=r"busy, cannot play buzzer 6 yet; wait until the last sound ends"):
-        opened.play(6, SHORT)
+        opened.play(6, LONG)
+    assert scripted.plays == 1
+
+
+def test_a_sound_that_outlasts_its_time_on_the_host_is_waited_for(opened, scripted):
+    scripted.play_lag_s = 0.3  # the board stood still, or its clock is slow
+    played(opened, scripted)
+    time.sleep(0.1)
+    played(opened, scripted)
+    assert scripted.plays == 2
+    assert scripted.started[1] - scripted.started[0] > 300_000
+    assert scripted.verbs().count("play") == 3
+
+
+def test_a_board_that_never_falls_silent_is_given_up(opened, scripted, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_serial._OVERDUE_S", 0.05)
+    scripted.play_lag_s = 60.0
+    played(opened, scripted)
+    time.sleep(0.1)
+    with pytest.raises(DeviceError, match=r"did not take `play`, 3 times"):
+        opened.play(1, SHORT)
+
+
+def test_noise_before_the_command_costs_no_second_emission(opened, scripted):
+    scripted.faults["play"] = ["noise before"]
+    played(opened, scripted)
+    assert scripted.plays == 1
+    assert scripted.verbs().count("play") == 1
 
 
 def test_a_board_that_stopped_itself_says_why(opened, scripted):

@@ -181,7 +181,7 @@ def test_a_device_lost_at_once_leaves_an_empty_session(tmp_path):
 def test_a_board_that_stays_where_it_is_ends_the_wait(tmp_path):
     found = small_rig(capture={"new_pose_px": 1000, "pose_timeout_s": 3})
     with pytest.raises(
-        errors.CaptureQualityError, match="at the last place: move the board to a new place; 1 pose saved"
+        errors.CaptureQualityError, match="where it was before: move the board to a place where it has not been; 1"
     ):
         captured(tmp_path / "s.h5", found)
     with Session.open(tmp_path / "s.h5") as session:
@@ -197,6 +197,15 @@ def test_a_board_that_is_never_found_ends_the_wait(tmp_path):
 def test_a_picture_too_noisy_for_the_limit_says_which_limit(tmp_path):
     found = small_rig(capture={"still_px": 0.001, "pose_timeout_s": 3})
     with pytest.raises(errors.CaptureQualityError, match=r"board is moving \([0-9.]+ px\): .* raise capture.still_px"):
+        captured(tmp_path / "s.h5", found)
+
+
+def test_a_picture_that_stays_blurred_says_what_helps(tmp_path):
+    found = small_rig(capture={"max_blur_px": 0.5, "pose_timeout_s": 3})
+    with pytest.raises(
+        errors.CaptureQualityError,
+        match=r"board is blurred \(0\.\d+ px\): focus the camera .* raise capture.max_blur_px",
+    ):
         captured(tmp_path / "s.h5", found)
 
 

@@ -7,7 +7,7 @@ import pytest
 from capturing import Listener, small_rig
 
 from acquire.devices.choose import choose_devices
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceLostError
 from acquire.recording import Recording
 from acquire.status import Status
 from rigs.session.layout import FLAG_GAP
@@ -94,3 +94,63 @@ def test_what_has_left_memory_is_not_given(tmp_path):
         assert first > 0
         assert first + len(samples) == writer.n_samples
         assert len(recording.samples(writer.n_samples, writer.n_samples + 100)[1]) == 0
+
+
+class SlowWriter:
+    """A writer on a disk that stands still for a while, once."""
+
+    def __init__(self, writer, clock, at_sample, hold_up_s):
+        self._writer, self._clock, self._at_sample, self._hold_up_s = writer, clock, at_sample, hold_up_s
+
+    def __getattr__(self, name):
+        return getattr(self._writer, name)
+
+    def append_audio(self, samples, **stamps):
+        if self._hold_up_s and self._writer.n_samples >= self._at_sample:
+            self._clock.sleep_s(self._hold_up_s)
+            self._hold_up_s = 0.0
+        return self._writer.append_audio(samples, **stamps)
+
+
+def test_a_slow_disk_is_warned_of_and_costs_no_sample(tmp_path):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    recording.writer = SlowWriter(writer, rig.clock, 96000, 3.0)
+    with writer:
+        recording.record(3.0)
+        assert recording.status.backlog_s < 1
+        recording.record(5.0)
+    assert (
+        screen.warnings().count("s of audio had to wait, nothing of it is lost: the disk or the computer is too slow")
+        == 1
+    )
+    assert recording.losses == 0
+    with Session.open(tmp_path / "s.h5") as session:
+        assert not session.audio_blocks["flags"].any()
+        assert session.n_samples > 7.9 * 48000
+        np.testing.assert_allclose(np.diff(session.audio_blocks["adc_time_s"]), 1024 / 48000, rtol=1e-6)
+
+
+def test_a_sound_device_that_falls_silent_later_is_lost_within_a_second(tmp_path):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    with writer:
+        recording.record(3.0)
+        rig.audio.read = list
+        with pytest.raises(DeviceLostError, match="has delivered nothing for 1 s"):
+            recording.record(1.2)
+
+
+def test_stamps_that_step_back_tell_of_a_host_that_slept(tmp_path):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    read = rig.audio.read
+    with writer:
+        recording.record(5.0)
+        rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s - 0.5) for block in read()]
+        recording.record(2.0)
+    assert "the host's clock jumped by 0.50 s before 5." in screen.warnings()
+    assert recording.losses == 1

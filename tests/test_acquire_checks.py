@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from acquire.checks import check_emission
-from acquire.sample_clock import SampleClock
+from acquire.devices.base import Frame
+from acquire.film import SpreadFrames
 from acquire.stillness import Sight, StillBoard
 from rigs.board import movement_px
 from rigs.description import Capture
@@ -90,70 +91,42 @@ def test_a_recording_that_is_too_short_is_not_heard(n_samples):
     assert check(heard(SWEEP)[:n_samples]).problem() == "not heard"
 
 
-def blocks(clock, first, last, *, lost_s=0.0, seed=0):
-    jitter = np.random.default_rng(seed).normal(0, 0.001, last)
-    return [clock.add(1000 * k, 500 + 1000 * k / RATE_HZ + lost_s + jitter[k]) for k in range(first, last)]
-
-
-def test_the_sample_clock_averages_jitter():
-    clock = SampleClock(RATE_HZ)
-    assert not any(blocks(clock, 0, 200))
-    assert clock.sample_at(502.0) == pytest.approx(96000, abs=0.0005 * RATE_HZ)
-
-
-def test_the_sample_clock_notices_lost_samples_and_is_right_afterwards():
-    clock = SampleClock(RATE_HZ)
-    blocks(clock, 0, 100)
-    assert sum(blocks(clock, 100, 200, lost_s=0.02)) == 1
-    assert clock.sample_at(502.02) == pytest.approx(96000, abs=0.0005 * RATE_HZ)
-
-
-def test_a_late_stamp_or_two_are_not_lost_samples():
-    clock = SampleClock(RATE_HZ)
-    blocks(clock, 0, 100)
-    assert not any(blocks(clock, 100, 102, lost_s=0.05))
-    assert not any(blocks(clock, 102, 150))
-
-
-def test_stamps_that_came_late_at_first_are_not_lost_samples():
-    clock = SampleClock(RATE_HZ)
-    blocks(clock, 0, 10, lost_s=0.05)
-    assert not any(blocks(clock, 10, 100))
-    assert clock.sample_at(502.0) == pytest.approx(96000, abs=0.0005 * RATE_HZ)
-
-
-def test_an_empty_sample_clock_knows_nothing():
-    clock = SampleClock(RATE_HZ)
-    assert clock.sample_at(1.0) is None
-    clock.add(0, 1.0)
-    clock.restart()
-    assert clock.sample_at(1.0) is None
-
-
 CORNERS = np.stack(np.meshgrid(np.arange(9.0) * 20, np.arange(6.0) * 20), axis=-1).reshape(-1, 2)
 
 
 def test_a_board_is_still_after_the_time_set():
-    watch = StillBoard(Capture(still_s=0.5, still_px=0.3), None)
+    watch = StillBoard(Capture(still_s=0.5, still_px=0.3), [])
     seen = [watch.see(CORNERS + 0.01 * k, 0.1 * k) for k in range(7)]
     assert seen == [Sight.SETTLING] * 5 + [Sight.STILL] * 2
 
 
 def test_a_slow_drift_is_movement():
-    watch = StillBoard(Capture(still_s=0.5, still_px=0.3), None)
+    watch = StillBoard(Capture(still_s=0.5, still_px=0.3), [])
     assert Sight.STILL not in [watch.see(CORNERS + 0.1 * k, 0.1 * k) for k in range(30)]
 
 
 def test_a_board_lost_from_sight_must_come_to_rest_anew():
-    watch = StillBoard(Capture(still_s=0.15), None)
+    watch = StillBoard(Capture(still_s=0.15), [])
     seen = [watch.see(None if k == 2 else CORNERS, 0.1 * k) for k in range(6)]
     assert seen == [Sight.SETTLING] * 2 + [Sight.MISSING] + [Sight.SETTLING] * 2 + [Sight.STILL]
 
 
-def test_a_new_pose_is_one_that_differs_from_the_last():
-    watch = StillBoard(Capture(still_s=0, new_pose_px=10), CORNERS)
+def test_a_new_pose_is_one_that_differs_from_every_earlier_one():
+    watch = StillBoard(Capture(still_s=0, new_pose_px=10), [CORNERS, CORNERS + 100])
     assert watch.see(CORNERS + 5, 0.0) is Sight.SAME_PLACE
-    assert watch.see(CORNERS + 8, 0.1) is Sight.STILL
+    assert watch.see(CORNERS + 95, 0.1) is Sight.SAME_PLACE
+    assert watch.see(CORNERS + 8, 0.2) is Sight.STILL
+
+
+@pytest.mark.parametrize("n_frames", [0, 1, 3, 4, 18, 100])
+def test_a_few_frames_are_held_spread_over_all(n_frames):
+    spread = SpreadFrames(3)
+    for number in range(n_frames):
+        spread.add(Frame(np.zeros((1, 1), np.uint8), float(number)))
+    times_s = [frame.host_time_s for frame in spread.frames]
+    assert min(n_frames, 2) <= len(times_s) <= 3
+    assert times_s == sorted(times_s)
+    assert not n_frames or times_s[-1] >= (n_frames - 1) / 2
 
 
 def test_movement_is_told_from_corners_in_both_pictures():

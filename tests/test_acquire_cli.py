@@ -15,6 +15,7 @@ from acquire.cli import cli
 from acquire.screen import LiveScreen, PlainScreen, picture, screen_for
 from acquire.status import Message, State, Status
 from rigs.command import run
+from rigs.description import MIN_POSES, MIN_POSES_FOR_INTRINSICS
 from rigs.session.reader import Session
 
 COMMAND = [sys.executable, "-c", "from acquire.cli import main; main()"]
@@ -40,9 +41,25 @@ def test_a_capture_says_what_it_uses_what_it_saved_and_what_comes_next(tmp_path,
     assert f"rig test, from {tmp_path / 'rig.yaml'}: named by --rig" in printed
     assert "pose 1 of 1 is good: 2 of 2 emissions heard" in printed
     assert f"1 pose saved in {tmp_path / 's1.h5'}" in printed
-    assert printed.endswith(f"next: rig-calibrate {tmp_path / 's1.h5'}\n")
+    assert printed.endswith("rig-calibrate needs at least 6 poses, 25 are good\n")
     with Session.open(tmp_path / "s1.h5") as session:
         assert session.name == "s1"
+
+
+INTRINSICS = {"focal_px": (500.0, 500.0), "principal_px": (319.5, 239.5), "distortion": (0.0,) * 5}
+
+
+@pytest.mark.parametrize(
+    ("intrinsics", "n_needed"), [("from session", MIN_POSES_FOR_INTRINSICS), (INTRINSICS, MIN_POSES)]
+)
+def test_calibrating_is_named_next_once_there_are_poses_enough(tmp_path, rig_file, capsys, intrinsics, n_needed):
+    rig = rig_file(camera={"intrinsics": intrinsics})
+    for n_poses, comes_next in (
+        (n_needed - 1, f"next: capture a session with more poses: rig-calibrate needs at least {n_needed} poses, "),
+        (n_needed, f"next: rig-calibrate {tmp_path / f's{n_needed}.h5'}\n"),
+    ):
+        assert rig_capture("--session", tmp_path / f"s{n_poses}", "--rig", rig, "--poses", n_poses) == 0
+        assert comes_next in capsys.readouterr().out
 
 
 def test_the_default_rig_is_named_as_such(tmp_path, monkeypatch, capsys):
@@ -176,3 +193,12 @@ def test_the_live_display_ends_with_the_last_state(tmp_path):
     last = console.file.getvalue().rsplit("rig-capture", maxsplit=1)[1]
     assert "finished" in last
     assert "1 of 1 saved" in last
+
+
+def test_the_live_display_shows_how_far_a_copy_is():
+    console = Console(file=StringIO(), width=80, height=24, force_terminal=True, color_system=None)
+    rows = np.zeros(3, dtype=[("pose", "<i4")])
+    rows["pose"] = range(3)
+    with LiveScreen(console) as screen:
+        assert [row["pose"] for row in screen.watch(rows, "copying sound")] == [0, 1, 2]
+    assert "copying sound" in console.file.getvalue()

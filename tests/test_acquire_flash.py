@@ -6,6 +6,7 @@ import subprocess
 import tty
 
 import pytest
+from scripted_bootloader import ATMEGA168_SIGNATURE, ScriptedBootloader
 from simboard import OPTIBOOT, firmware, running_board
 
 from acquire.avrdude import BOARDS, explain
@@ -57,24 +58,49 @@ def rig_flash(*arguments):
         ("mega", "-p atmega2560 -c wiring -P /dev/ttyX -b 115200 -D -U flash:w:"),
     ],
 )
-def test_a_dry_run_says_what_would_be_done(capsys, board, words):
-    assert rig_flash("--port", "/dev/ttyX", "--board", board, "--dry-run") == 0
+def test_a_dry_run_says_what_would_be_done(capsys, mute_port, board, words):
+    assert rig_flash("--port", mute_port, "--board", board, "--dry-run") == 0
     printed = capsys.readouterr().out
-    assert f"found /dev/ttyX (no USB ids): taken as board {board}" in printed
-    assert f"would run: avrdude {words}" in printed
+    assert printed.startswith(f"port {mute_port} (no USB ids): taken as board {board}\n")  # named, not found
+    assert f"would run: avrdude {words.replace('/dev/ttyX', mute_port)}" in printed
     assert f"buzzer-board-{board.removesuffix('-old')}.hex" in printed
 
 
-def test_the_usb_ids_tell_the_board(capsys, ports):
-    ports(FoundPort("/dev/ttyACM0", "2341:0042", "55"))
+def test_a_dry_run_lists_the_build(capsys, mute_port, monkeypatch, tmp_path):
+    monkeypatch.setattr("acquire.flash._IMAGES", tmp_path)  # what is not built yet is no hindrance
+    assert rig_flash("--port", mute_port, "--board", "uno", "--build", "--dry-run") == 0
+    _, first, second = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"would run: make -C \S+firmware images", first)
+    assert second.startswith("would run: avrdude ")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dry_run_sees_what_would_hinder(capsys, mute_port, monkeypatch, tmp_path):
+    assert rig_flash("--port", "/dev/ttyNO", "--dry-run") == 3  # before it asks for --board
+    assert "/dev/ttyNO: there is no such port" in capsys.readouterr().err
+    assert rig_flash("--port", __file__, "--board", "uno", "--dry-run") == 3
+    assert "cannot be opened as a serial port" in capsys.readouterr().err
+    held = open_port(mute_port)
+    assert rig_flash("--port", mute_port, "--board", "uno", "--dry-run") == 3
+    held.close()
+    said = capsys.readouterr()
+    assert "another program uses this port" in said.err
+    assert said.out == ""  # nothing is said to be found
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert rig_flash("--port", mute_port, "--board", "uno", "--dry-run") == 2
+    assert "avrdude is not installed" in capsys.readouterr().err
+
+
+def test_the_usb_ids_tell_the_board(capsys, ports, mute_port):
+    ports(FoundPort(mute_port, "2341:0042", "55"))
     assert rig_flash("--dry-run") == 0
     printed = capsys.readouterr().out
-    assert "found /dev/ttyACM0 (2341:0042:55, Arduino Mega 2560): taken as board mega" in printed
+    assert f"found {mute_port} (2341:0042:55, Arduino Mega 2560): taken as board mega" in printed
     assert "-c wiring" in printed
 
 
-def test_ids_that_do_not_tell_the_board_ask_for_it(capsys, ports):
-    ports(FoundPort("/dev/ttyUSB0", "1A86:7523"))
+def test_ids_that_do_not_tell_the_board_ask_for_it(capsys, ports, mute_port):
+    ports(FoundPort(mute_port, "1A86:7523"))
     assert rig_flash("--dry-run") == 2
     assert "does not tell which board it is: give --board uno, nano, nano-old, mega" in capsys.readouterr().err
 
@@ -105,10 +131,54 @@ def test_a_board_that_does_not_answer_avrdude(capsys, image, mute_port, monkeypa
     assert rig_flash("--port", mute_port, "--board", "uno", "--image", image) == 3
     said = capsys.readouterr()
     assert "writing tiny.hex with avrdude" in said.out
-    assert "programmer is not responding" in said.err  # avrdude's own words, first
-    last = said.err.splitlines()[-1]
-    assert last.startswith(f"rig-flash: no bootloader of a uno answers at {mute_port} (not in sync): check --board")
-    assert "--board nano-old" in last
+    (line,) = said.err.splitlines()  # avrdude's own words are left out
+    assert line.startswith(
+        f"rig-flash: no bootloader of a uno answers at {mute_port} (not in sync): check that this is"
+    )
+    assert "nano" not in line
+
+
+def test_what_avrdude_says_is_shown_on_request_and_where_it_is_not_understood(capsys, image, mute_port, monkeypatch):
+    monkeypatch.setattr("acquire.avrdude._HOPELESS", re.compile("attempt 1 of"))
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", image, "--verbose") == 3
+    assert "programmer is not responding" in capsys.readouterr().err
+    monkeypatch.setattr("acquire.avrdude._MEANINGS", {})
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", image) == 3
+    said = capsys.readouterr().err
+    assert "programmer is not responding" in said
+    assert said.splitlines()[-1].startswith(f"rig-flash: avrdude failed at {mute_port}, for the reason it gives above")
+
+
+@pytest.mark.parametrize(
+    ("board", "guess"), [("uno", ""), ("nano", "try --board nano-old"), ("nano-old", "try --board nano,"), ("mega", "")]
+)
+def test_the_other_bootloader_is_guessed_for_a_nano_only(board, guess):
+    said = explain("avrdude: stk500_recv(): programmer is not responding", BOARDS[board], "/dev/ttyX")
+    assert guess in said
+    assert bool(guess) == ("try --board" in said)
+
+
+def flashed_onto(bootloader, capsys):
+    """Run rig-flash with the real avrdude; return the exit code and the one line it printed to stderr."""
+    exit_code = rig_flash("--port", bootloader.port, "--board", "uno", "--image", firmware("uno", "hex"))
+    (line,) = capsys.readouterr().err.splitlines()
+    return exit_code, line
+
+
+def test_a_board_that_does_not_keep_what_is_written(capsys):
+    with ScriptedBootloader(stuck_low=0x80) as bootloader:
+        exit_code, last = flashed_onto(bootloader, capsys)
+        assert len(set(bootloader.flash[:8192])) > 100  # it was written
+    assert exit_code == 3
+    assert last.startswith(f"rig-flash: what stands on the board at {bootloader.port} is not what was written: try")
+
+
+def test_a_chip_of_another_kind(capsys):
+    with ScriptedBootloader(signature=ATMEGA168_SIGNATURE) as bootloader:
+        exit_code, last = flashed_onto(bootloader, capsys)
+        assert set(bootloader.flash) == {0xFF}  # nothing was written
+    assert exit_code == 3
+    assert last.startswith(f"rig-flash: the chip at {bootloader.port} is not the atmega328p of a uno: name the right")
 
 
 @pytest.mark.parametrize(
@@ -117,11 +187,11 @@ def test_a_board_that_does_not_answer_avrdude(capsys, image, mute_port, monkeypa
         ("OS error: cannot open port /dev/ttyX: Permission denied", "no permission to use /dev/ttyX: `sudo usermod"),
         ('ser_open(): can\'t open device "/dev/ttyX": Device or resource busy', "another program uses /dev/ttyX"),
         ("OS error: cannot open port /dev/ttyX: No such file or directory", "/dev/ttyX is gone: plug the board in"),
-        ("Expected signature for ATmega328P is 1E 95 0F", "not that of a uno: name the right board with --board"),
+        ("Expected signature for ATmega328P is 1E 95 0F", "is not the atmega328p of a uno: name the right board"),
         ("error: verification mismatch", "is not what was written: try again, with another cable"),
         ("verification error, first mismatch at byte 0x0000", "is not what was written: try again"),
+        ("device signature = 0x1e950f\navrdude error: verification mismatch", "is not what was written: try again"),
         ("stk500_getsync() attempt 10 of 10: not in sync: resp=0x00", "no bootloader of a uno answers at /dev/ttyX"),
-        ("something new", "avrdude failed at /dev/ttyX, for the reason it gives above"),
     ],
 )  # fmt: skip
 def test_avrdudes_complaints_are_explained(complaint, meaning):
@@ -177,6 +247,7 @@ def test_an_image_that_is_not_ours_is_a_firmware_error(capsys, tmp_path):
     subprocess.run(["avr-objcopy", "-O", "ihex", elf, image], check=True)
     with running_board(OPTIBOOT, dtr=True) as board:
         assert rig_flash("--port", board.port, "--board", "uno", "--image", image) == 4
-    assert f"what answers there is not the firmware buzzer-board: put ours on it: rig-flash --port {board.port}" in (
-        capsys.readouterr().err
+    assert capsys.readouterr().err.endswith(
+        f"is not the firmware buzzer-board: put ours on it: rig-flash --port {board.port} "
+        "--board uno (or nano, nano-old, mega)\n"
     )

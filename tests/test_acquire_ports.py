@@ -3,7 +3,7 @@
 import pytest
 
 from acquire.errors import DeviceError
-from acquire.ports import FoundPort, choose_port, open_port, serial_ports
+from acquire.ports import FoundPort, choose_port, flash_command, open_port, serial_ports
 
 UNO = FoundPort("/dev/ttyACM0", "2341:0043", "75830303934351618291")
 OTHER_UNO = FoundPort("/dev/ttyACM1", "2341:0043", "A1")
@@ -60,6 +60,13 @@ def test_ids_tell_the_board_only_where_they_can():
     assert (UNO.board, NANO.board, STRANGE.board, BUILT_IN.board) == ("uno", "", "", "")
     assert FoundPort("/dev/ttyACM0", "2341:0042").board == "mega"
     assert STRANGE.describe() == "/dev/ttyUSB1 (1234:ABCD:7, unknown USB device)"
+
+
+def test_the_command_that_flashes_a_port_names_the_board_where_the_ids_do_not(monkeypatch):
+    monkeypatch.setattr("acquire.ports.serial_ports", lambda: [UNO, NANO])
+    assert flash_command(UNO.path) == "rig-flash --port /dev/ttyACM0"
+    for path in (NANO.path, "/dev/pts/7"):
+        assert flash_command(path) == f"rig-flash --port {path} --board uno (or nano, nano-old, mega)"
 
 
 def test_the_ports_of_this_computer_are_listed_in_order():

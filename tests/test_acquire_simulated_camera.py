@@ -55,14 +55,15 @@ def test_the_checkerboard_is_found_where_it_is(seed):
 
 
 def test_the_charuco_board_is_found_where_it_is():
-    board = {"pattern": "charuco", "corners": (8, 5), "square_size_m": 0.03, "charuco": {"marker_size_m": 0.022}}
+    # with markers of less than 2.5 pixels to a module, it hangs on the noise whether all of them are read
+    board = {"pattern": "charuco", "corners": (8, 5), "square_size_m": 0.035, "charuco": {"marker_size_m": 0.026}}
     errors_px = []
     for _, found_px, true_px in seen_and_true_px(0, range(4), board=board):
         assert found_px is not None
         assert np.isfinite(found_px).all()
         errors_px.append(found_px - true_px)
-    assert np.sqrt(np.mean(np.square(errors_px))) < 0.15
-    assert np.abs(np.mean(errors_px, axis=(0, 1))).max() < 0.03
+    assert np.sqrt(np.mean(np.square(errors_px))) < 0.1
+    assert np.abs(np.mean(errors_px, axis=(0, 1))).max() < 0.02
 
 
 def test_a_charuco_board_with_too_few_markers_is_refused():

@@ -39,6 +39,20 @@ def test_a_main_loop_that_hangs_is_reset_by_the_watchdog():
     assert sound_s < 0.2
 
 
+def test_a_firmware_that_hangs_with_interrupts_off_is_reset_by_the_watchdogs_hardware():
+    with broken("freeze") as board, Talk(board.port) as host:
+        host.restart(board)
+        host.send(COMMAND)
+        assert host.next_boot()["reset"] == "watchdog"
+        assert host.ask("2 status")["state"] == "idle"
+        assert host.ask("3 hello")["name"] == "buzzer-board"
+        board.settle()
+        (sound_s,) = lit_s(board)
+        assert board.trace().resets[-1][1] == "watchdog"
+    print(f"silent {sound_s:.3f} s after everything hung")
+    assert 0.12 < sound_s < 0.3  # twice the watchdog's time
+
+
 @pytest.mark.parametrize(
     ("fault", "name"),
     [("short_circuit", "pin"), ("lose_edges", "timer"), ("lose_end", "timer"), ("overflow_stack", "memory")],
@@ -79,6 +93,18 @@ def test_no_sound_outlasts_the_limit_whatever_asked_for_it():
         assert int(off["us"]) - int(on["us"]) == 500_000
         board.settle()
         assert lit_s(board)[-1] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_what_is_stopped_before_its_first_edge_is_silent_and_not_told():
+    with broken("cancel") as board, Talk(board.port) as host:  # its own code plays and stops at once
+        host.restart(board)
+        status = host.ask("1 status")
+        assert (status["plays"], status["state"]) == ("1", "idle")
+        board.settle(0.2)
+        assert board.trace().pin(LED_PIN)[0].size == 0
+        assert all(board.trace().pin(pin)[0].size == 0 for pin in BUZZER_PINS.values())
+        host.play("2 play 1 tone 1000 5000")  # its events are the first ones
+        assert host.ask("3 status")["plays"] == "2"
 
 
 def test_a_reset_in_mid_emission_is_silent_at_once():

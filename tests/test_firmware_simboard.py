@@ -70,3 +70,60 @@ def test_a_board_without_a_sketch_waits_for_one():
         time.sleep(0.1)
         line.write(b"0 ")  # "are you there", in the boot loader's language
         assert line.read(2) == b"\x14\x10"
+
+
+def said_by(*arguments: object) -> list[str]:
+    """Return the lines that the simulated board says when it refuses to start."""
+    with start(*arguments) as board:
+        _, said = board.communicate(timeout=10)
+    assert board.returncode == 2
+    return said.splitlines()
+
+
+def test_an_image_that_is_not_there_or_for_another_chip_is_refused_in_one_line(tmp_path):
+    missing, mega, uno = tmp_path / "no.elf", firmware("mega"), firmware()
+    assert said_by(missing) == [f"simboard: {missing}: No such file or directory"]
+    assert said_by(mega) == [f"simboard: {mega}: this image is not for an ATmega328P: give --mcu atmega2560"]
+    assert said_by("--mcu", "atmega2560", uno) == [
+        f"simboard: {uno}: this image is not for an ATmega2560: leave out --mcu"
+    ]
+
+
+def test_firmware_that_runs_wild_is_told_in_a_few_lines():
+    with start("--fast", firmware("mega", "hex")) as board:  # a hex file does not tell its chip
+        _, said = board.communicate(timeout=60)
+    assert board.returncode == 1
+    lines = said.splitlines()
+    assert len(lines) < 10
+    assert lines[-1].startswith("simboard: the firmware crashed at address 0x")
+    assert lines[-1].endswith("; if it is not for an atmega328p, give --mcu")
+
+
+def test_a_link_replaces_nothing_of_others(tmp_path):
+    file, link = tmp_path / "file", tmp_path / "ttyBOARD"
+    file.write_text("precious")
+    assert said_by("--link", file, firmware()) == [
+        f"simboard: {file}: is there already, and is not a link to a port: give another --link"
+    ]
+    assert file.read_text() == "precious"
+    with start("--link", link, firmware()) as board:
+        port = board.stdout.readline().strip()
+        (line,) = said_by("--link", link, firmware())
+        assert line.startswith(f"simboard: {link}: leads to a port that is there: end the simulated board that made it")
+        assert link.resolve() == Path(port)
+        link.unlink()
+        link.symlink_to(file)  # somebody else's by now
+        board.send_signal(signal.SIGTERM)
+        assert board.wait(timeout=10) == 0
+    assert link.resolve() == file
+
+
+def test_the_link_of_a_board_that_was_killed_is_taken_over(tmp_path):
+    link = tmp_path / "ttyBOARD"
+    link.symlink_to(tmp_path / "gone")
+    with start("--link", link, firmware()) as board:
+        port = board.stdout.readline().strip()
+        assert link.resolve() == Path(port)
+        board.send_signal(signal.SIGTERM)
+        assert board.wait(timeout=10) == 0
+    assert not link.is_symlink()

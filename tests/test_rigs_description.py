@@ -22,7 +22,7 @@ def changed(old: str, new: str) -> str:
     return TEMPLATE.replace(old, new, 1)
 
 
-@pytest.mark.parametrize("name", ["simulated", "kinect8", "bench8"])
+@pytest.mark.parametrize("name", ["simulated", "kinect8", "bench8", "virtual"])
 def test_every_shipped_rig_is_valid_and_tells_editors_its_schema(name):
     text = shipped_rigs()[name]
     assert parse_description(text, name).name == name

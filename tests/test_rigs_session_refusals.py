@@ -268,6 +268,7 @@ def test_cut_off_recording_leaves_out_rows_that_never_reached_the_disk(tmp_path)
     spoil(path, layout.CAMERA_FRAMES, 3, offset=0, length=0)
     with h5py.File(path, "r+") as file:
         file[layout.STATE][0] = layout.STATE_OPEN
+        del file[layout.CHECKSUMS]  # a session that was cut off has none of its tables
     with Session.open(path) as session:
         assert session.n_samples == 2 * BLOCK
         assert len(session.frames) == 3
@@ -372,3 +373,21 @@ def test_description_is_kept_word_for_word(tmp_path):
     text = TEXT + "\n# a comment at the end: µ"
     with Session.open(write_session(tmp_path / "s.h5", description_text=text)) as session:
         assert session.description_text == text
+
+
+@pytest.mark.parametrize("name", [*layout.TABLES, layout.VERSIONS, layout.CORNERS, layout.TDOAS, "truth/microphones_m"])
+def test_a_changed_table_or_layer_is_found(path, name):
+    with h5py.File(path, "r+") as file:
+        rows = file[name][:]
+        content = rows.view(np.uint8).reshape(-1)
+        content[3 if name == layout.VERSIONS else -1] ^= 1
+        file[name][:] = rows
+    with Session.open(path) as session:
+        assert f"{name} is damaged: its checksum does not fit" in session.verify()
+
+
+def test_a_session_without_checksums_is_read(path):
+    with h5py.File(path, "r+") as file:
+        del file[layout.CHECKSUMS]
+    with Session.open(path) as session:
+        assert session.verify() == []

@@ -30,6 +30,7 @@ from example_sessions import (
 
 from rigs.errors import SessionError, TargetError, TargetExistsError
 from rigs.session import layout
+from rigs.session.info import summary
 from rigs.session.reader import Session
 
 
@@ -301,3 +302,24 @@ def test_what_a_session_does_not_hold_is_said(path):
         for index in (-1, 4):
             with pytest.raises(SessionError, match="the session holds 4"):
                 session.picture(index)
+
+
+def test_clocks_and_onsets_come_back_as_written(tmp_path):
+    with Session.open(write_session(tmp_path / "s.h5")) as session:
+        assert session.onsets[-1]["predicted_sample"] == session.emissions["expected_sample"][-1] + 0.25
+        assert len(session.onsets) == len(session.emissions) == len(session.pings) == 4
+        assert session.pings[0].tolist() == (2.499, 2.501, 1.5)
+        assert session.clock_fits[0]["clock"] == layout.CLOCK_SESSION
+        assert dict(summary(session))["clock"] == "sampled at 48001.20 Hz, +25.0 +- 1.0 ppm"
+
+
+def test_a_session_of_before_the_clocks_is_read(tmp_path):
+    path = write_session(tmp_path / "s.h5")
+    with h5py.File(path, "r+") as file:
+        del file[layout.CHECKSUMS]
+        for name in layout.OPTIONAL_TABLES:
+            del file[name]
+    with Session.open(path) as session:
+        assert session.onsets is None
+        assert len(session.pings) == len(session.clock_fits) == 0
+        assert "clock" not in dict(summary(session))

@@ -36,10 +36,23 @@ class AudioBlock:
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture (height, width) or (height, width, 3) of bytes, and the host monotonic time it was taken."""
+    """A picture (height, width) or (height, width, 3) of bytes, and the host monotonic time it was taken.
+
+    Where it was collected in a rhythm, `n_missing` tells how many that were due before it are missing: the camera did
+    not send them, or they waited too long to be held any longer.
+    """
 
     image: NDArray[np.uint8]
     host_time_s: float
+    n_missing: int = 0
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """One frame per interval, the first an interval after a host monotonic time."""
+
+    since_s: float
+    interval_s: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +61,63 @@ class EmissionStart:
 
     board_time_s: float
     host_time_s: float
+    host_std_s: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Ping:
+    """One reading of the trigger board's clock.
+
+    Parameters
+    ----------
+    earliest_s, latest_s : float
+        Host times between which it was read.
+    board_s : float
+        The reading, unrolled.
+    """
+
+    earliest_s: float
+    latest_s: float
+    board_s: float
+
+    @property
+    def middle_s(self) -> float:
+        """The host time of the reading, as far as anybody can tell."""
+        return 0.5 * (self.earliest_s + self.latest_s)
+
+    @property
+    def round_trip_s(self) -> float:
+        """How long the reading may have taken."""
+        return self.latest_s - self.earliest_s
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """A line from a device's clock to the host's monotonic clock.
+
+    Parameters
+    ----------
+    since_s : float
+        Host time of the first reading it rests on.
+    host_s, reading : float
+        A point of the line: host time, and what the device's clock (seconds, or samples) read then.
+    rate : float
+        Of the device's clock, per second of the host.
+    rate_std : float
+        Standard deviation of `rate`, as a share of it.
+    std_s : float
+        Standard deviation of a host time that the line gives, within the readings it rests on.
+    n_readings : int
+        How many those are.
+    """
+
+    since_s: float
+    host_s: float
+    reading: float
+    rate: float
+    rate_std: float
+    std_s: float
+    n_readings: int
 
 
 class TriggerBoard(Protocol):
@@ -57,7 +127,21 @@ class TriggerBoard(Protocol):
         """Connect and return the firmware's name and version. Raises DeviceError or FirmwareError."""
 
     def play(self, buzzer: int, waveform: Waveform) -> EmissionStart:
-        """Start one emission and return at once. Raises DeviceError."""
+        """Start one emission and return at once.
+
+        Raises
+        ------
+        DeviceRestartedError
+            The board forgot what it was told, but answers: close it, open it, and play again.
+        DeviceError
+            It is lost, or cannot play this.
+        """
+
+    def read_clock(self) -> list[Ping]:
+        """Read the board's clock once more, and return all readings since the last call. Raises as `play` does."""
+
+    def clock_fit(self) -> ClockFit:
+        """Return the line from the board's clock to the host's; it holds since the board was opened last."""
 
     def close(self) -> None:
         """Silence the board and let it go; safe to call twice."""
@@ -77,13 +161,27 @@ class AudioInput(Protocol):
 
 
 class Camera(Protocol):
-    """A camera."""
+    """A camera; `warnings` holds what its driver refused when it was opened."""
+
+    warnings: list[str]
 
     def open(self) -> str:
         """Start the camera and return the driver's name and version. Raises DeviceError."""
 
     def read(self) -> Frame:
-        """Wait for the next frame and return it; never a stale one. Raises DeviceError."""
+        """Wait for the next frame and return it; never a stale one. Raises DeviceError, also where it is frozen."""
+
+    def collect(self, rhythm: Rhythm | None) -> None:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
+
+    def collected(self) -> list[Frame]:
+        """Return the frames collected since the last call, in order, without waiting; none while it is closed.
+
+        Raises
+        ------
+        DeviceError
+            It is lost or frozen, and nothing that it sent before is left.
+        """
 
     def close(self) -> None:
         """Stop the camera; safe to call twice."""

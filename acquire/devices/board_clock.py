@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from acquire.devices.base import ClockFit, Ping
 
 WRAP_US = 1 << 32
 _KEPT = 64  # pings; older ones would see the resonator at another temperature
@@ -15,33 +17,6 @@ _RATE_LIMIT = 0.02
 _NOISE_S = 0.0002  # of one good ping
 _JUMP_S = 0.001  # a line this far outside of a ping's bounds is disproved
 _SLACK_S = 0.0005  # a round trip longer than the quick quarter's by more than this was held up somewhere
-
-
-@dataclass(frozen=True)
-class Ping:
-    """One reading of the board's clock.
-
-    Parameters
-    ----------
-    earliest_s, latest_s : float
-        Host times between which it was read.
-    board_s : float
-        The reading, unrolled.
-    """
-
-    earliest_s: float
-    latest_s: float
-    board_s: float
-
-    @property
-    def middle_s(self) -> float:
-        """The host time of the reading, as far as anybody can tell."""
-        return 0.5 * (self.earliest_s + self.latest_s)
-
-    @property
-    def round_trip_s(self) -> float:
-        """How long the reading may have taken."""
-        return self.latest_s - self.earliest_s
 
 
 class BoardClock:
@@ -54,8 +29,8 @@ class BoardClock:
         self._pings: deque[Ping] = deque(maxlen=_KEPT)
         self._line: tuple[float, float, float] | None = None  # board s, host s, board seconds per host second
 
-    def add(self, earliest_s: float, latest_s: float, board_us: int) -> None:
-        """Take in a ping.
+    def add(self, earliest_s: float, latest_s: float, board_us: int) -> Ping:
+        """Take in a ping and return it, its reading unrolled.
 
         Parameters
         ----------
@@ -70,6 +45,7 @@ class BoardClock:
         if not earliest_s - _JUMP_S < self.host_s(board_s) < latest_s + _JUMP_S:
             self._pings = deque([self._pings[-1]], maxlen=_KEPT)
             self._line = self._fitted()
+        return self._pings[-1]
 
     @property
     def rate(self) -> float:
@@ -87,6 +63,22 @@ class BoardClock:
         origin_board_s, origin_host_s, rate = self._needed_line()
         return origin_host_s + (board_s - origin_board_s) / rate
 
+    def fit(self) -> ClockFit:
+        """Return the line with its uncertainty. Raises RuntimeError before the first ping.
+
+        A ping may be read anywhere in its round trip, the same way each time, so no number of pings makes the line
+        better than a reading anywhere within the quick ones' round trip.
+        """
+        board_s, host_s, rate = self._needed_line()
+        quick = self._quick()
+        times_s = np.array([ping.middle_s for ping in quick])
+        scatter_s = float(np.std([ping.middle_s - self.host_s(ping.board_s) for ping in quick]))
+        anywhere_s = float(np.median([ping.round_trip_s for ping in quick])) / math.sqrt(12)
+        noise_s = max(scatter_s, _NOISE_S)
+        rate_std = noise_s / math.sqrt(float(np.sum((times_s - times_s.mean()) ** 2)) + (noise_s / _RATE_STD) ** 2)
+        std_s = math.hypot(scatter_s, anywhere_s)
+        return ClockFit(self._pings[0].earliest_s, host_s, board_s, rate, rate_std, std_s, len(self._pings))
+
     def residuals_s(self) -> NDArray[np.float64]:
         """Return host time by the pings minus host time by the line (n_pings,), of all pings that are kept."""
         return np.array([ping.middle_s - self.host_s(ping.board_s) for ping in self._pings])
@@ -96,9 +88,12 @@ class BoardClock:
             raise RuntimeError("the board's clock was asked for before the first ping")
         return self._line
 
-    def _fitted(self) -> tuple[float, float, float]:
+    def _quick(self) -> list[Ping]:
         limit_s = float(np.quantile([ping.round_trip_s for ping in self._pings], 0.25)) + _SLACK_S
-        quick = [ping for ping in self._pings if ping.round_trip_s <= limit_s]
+        return [ping for ping in self._pings if ping.round_trip_s <= limit_s]
+
+    def _fitted(self) -> tuple[float, float, float]:
+        quick = self._quick()
         host_s = np.array([ping.middle_s for ping in quick])
         board_s = np.array([ping.board_s for ping in quick])
         mean_host_s, mean_board_s = float(host_s.mean()), float(board_s.mean())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from acquire.devices.board_link import BoardLink, BoardRestartedError, NoAnswerError
 from acquire.devices.wire import PROTOCOL_VERSION
 from acquire.errors import DeviceError, FirmwareError
-from acquire.ports import has_modem_lines, open_port
+from acquire.ports import flash_command, has_modem_lines, open_port
 from rigs.waveform import Waveform
 
 FIRMWARE = "buzzer-board"
@@ -76,7 +76,7 @@ def greet(link: BoardLink, *, boot_s: float) -> Hello:
             continue
         if not reply.error:
             return _checked(reply.fields, link.path)
-    remedy = f"put ours on it: rig-flash --port {link.path}"
+    remedy = f"put ours on it: {flash_command(link.path)}"
     if link.n_bytes:
         raise FirmwareError(f"{link.path}: what answers there is not the firmware {FIRMWARE}: {remedy}")
     raise DeviceError(
@@ -88,9 +88,7 @@ def number(fields: Mapping[str, str], key: str, path: str) -> int:
     """Return a whole number of a reply. Raises FirmwareError where the board did not send it."""
     value = fields.get(key, "")
     if not (value.isascii() and value.isdecimal()):
-        raise FirmwareError(
-            f"{path}: the board's reply has no number {key}: renew its firmware: rig-flash --port {path}"
-        )
+        raise FirmwareError(f"{path}: the board's reply has no number {key}: renew its firmware: {flash_command(path)}")
     return int(value)
 
 
@@ -133,13 +131,11 @@ def _unplayable(wanted: str, possible: str) -> DeviceError:
 def _checked(fields: Mapping[str, str], path: str) -> Hello:
     name, version, protocol = (fields.get(key, "?") for key in ("name", "fw", "proto"))
     if name != FIRMWARE:
-        raise FirmwareError(
-            f"{path}: the firmware there is {name}, not {FIRMWARE}: put ours on: rig-flash --port {path}"
-        )
+        raise FirmwareError(f"{path}: the firmware there is {name}, not {FIRMWARE}: put ours on: {flash_command(path)}")
     if protocol != str(PROTOCOL_VERSION):
         raise FirmwareError(
             f"{path}: {FIRMWARE} {version} speaks protocol {protocol}, this program protocol {PROTOCOL_VERSION}: "
-            f"put the fitting firmware on: rig-flash --port {path}"
+            f"put the fitting firmware on: {flash_command(path)}"
         )
     limits = [number(fields, key, path) for key in ("buzzers", "max_us", "min_hz", "max_hz")]
     return Hello(version, fields.get("board", "unknown"), *limits)

@@ -17,7 +17,7 @@ from acquire.devices.wire import (
     Reply,
     encode,
 )
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceRestartedError
 from rigs.errors import reason
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class NoAnswerError(DeviceError):
     """The board did not answer a command in time."""
 
 
-class BoardRestartedError(DeviceError):
+class BoardRestartedError(DeviceRestartedError):
     """The board said `! boot`: what it was told before is forgotten."""
 
 
@@ -98,7 +98,9 @@ class BoardLink:
         self.seq = next(_NUMBERS) % (SEQUENCE_NUMBERS - 1) + 1  # 0 is for lines that the board could not read
         sent_s = time.monotonic()
         self._send(encode(self.seq, verb, *arguments))
-        while time.monotonic() < sent_s + limit_s:
+        is_late = False
+        while not is_late:
+            is_late = time.monotonic() > sent_s + limit_s  # one look more: the host itself may have stood still
             for message in self._receive():
                 if isinstance(message, Reply) and self._is_ours(message):
                     return Answer(message, sent_s, time.monotonic())
@@ -187,4 +189,4 @@ class BoardLink:
             raise self._lost(error) from error
 
     def _lost(self, error: OSError) -> PortLostError:
-        return PortLostError(f"{self.path}: the board is gone ({reason(error)}): plug it in again and start anew")
+        return PortLostError(f"{self.path}: the board is gone ({reason(error)}): plug it in again")

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
-from acquire.devices.base import EmissionStart
+from acquire.devices.base import ClockFit, EmissionStart, Ping
 from acquire.devices.board_clock import BoardClock
 from acquire.devices.board_hello import Hello, check_fits, connect, number
-from acquire.devices.board_link import BoardLink, BoardRestartedError, NoAnswerError, PortLostError
+from acquire.devices.board_link import BoardLink, NoAnswerError, PortLostError
 from acquire.devices.wire import ERROR_BUSY, ERROR_CHECKSUM, ERROR_FAULT, ERROR_LINE, Reply, play_arguments
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceRestartedError
 from acquire.ports import choose_port, serial_ports
 from rigs.waveform import Waveform
 
 _FIRST_PINGS = 8
 _TRIES = 3
 _QUIET_S = 0.5  # after an emission of which nobody knows when it began
-_RECONNECT_S, _RETRY_S = 6.0, 0.3
-_MAX_RESTARTS = 3
+_OVERDUE_S, _LOOK_S = 2.0, 0.02  # how long a sound may outlast its time by the host's clock
+_PLAYS_COUNTED = 1 << 16
 
 
 class SerialBoard:
@@ -41,8 +42,10 @@ class SerialBoard:
     def __init__(self, port: str, waveform: Waveform, buzzers: Sequence[int]) -> None:
         self._wanted, self._waveform, self._buzzers = port, waveform, tuple(buzzers)
         self._link: BoardLink | None = None
-        self._n_buzzers, self._n_plays, self._restarts = 0, 0, 0
+        self._n_buzzers, self._n_plays = 0, 0
+        self._over_s = 0.0  # when the last sound should end
         self.clock = BoardClock()
+        self._pings: list[Ping] = []  # that nobody has asked for yet
 
     def open(self) -> str:
         """Connect and return the firmware's name and version.
@@ -60,22 +63,31 @@ class SerialBoard:
     def play(self, buzzer: int, waveform: Waveform) -> EmissionStart:
         """Start one emission and return when the board has replied.
 
-        A board that restarted, or was unplugged for a moment, is connected again.
-
         Raises
         ------
+        DeviceRestartedError
+            The board restarted: close it, open it, and play again.
         DeviceError
             The board is not open or lost, has no such buzzer, still plays, or stopped itself.
-        FirmwareError
-            What was plugged in again is something else.
         """
-        link = self._ready(buzzer)
-        while True:
-            try:
-                self._ping(link)
-                return self._start(link, buzzer, waveform)
-            except (BoardRestartedError, PortLostError) as error:
-                link = self._reconnect(link, error)
+        link = self._needed_link()
+        if not 1 <= buzzer <= self._n_buzzers:
+            raise DeviceError(f"trigger board: there is no buzzer {buzzer}; this board has 1 to {self._n_buzzers}")
+        with self._letting_go():
+            self._ping(link)
+            return self._start(link, buzzer, waveform)
+
+    def read_clock(self) -> list[Ping]:
+        """Read the board's clock once more, and return all readings since the last call. Raises as `play` does."""
+        link = self._needed_link()
+        with self._letting_go():
+            self._ping(link)
+        pings, self._pings = self._pings, []
+        return pings
+
+    def clock_fit(self) -> ClockFit:
+        """Return the line from the board's clock to the host's; it holds since the board was opened last."""
+        return self.clock.fit()
 
     def close(self) -> None:
         """Silence the board and let it go; safe to call twice."""
@@ -89,12 +101,21 @@ class SerialBoard:
         finally:
             link.close()
 
-    def _ready(self, buzzer: int) -> BoardLink:
+    def _needed_link(self) -> BoardLink:
         if self._link is None:
             raise DeviceError("trigger board: the port is not open; open it first")
-        if not 1 <= buzzer <= self._n_buzzers:
-            raise DeviceError(f"trigger board: there is no buzzer {buzzer}; this board has 1 to {self._n_buzzers}")
         return self._link
+
+    @contextmanager
+    def _letting_go(self) -> Iterator[None]:
+        """Close the port where the board is gone or has restarted: its clock is another one from then on."""
+        try:
+            yield
+        except (DeviceRestartedError, PortLostError):
+            if self._link is not None:
+                self._link.close()
+            self._link = None
+            raise
 
     def _connected(self) -> tuple[BoardLink, Hello]:
         link, hello = connect(choose_port(self._wanted, serial_ports()).path)
@@ -120,16 +141,19 @@ class SerialBoard:
 
     def _ping(self, link: BoardLink) -> None:
         answer = link.ask_safely("ping")
-        self.clock.add(answer.sent_s, answer.received_s, number(answer.reply.fields, "us", link.path))
+        board_us = number(answer.reply.fields, "us", link.path)
+        self._pings.append(self.clock.add(answer.sent_s, answer.received_s, board_us))
 
     def _start(self, link: BoardLink, buzzer: int, waveform: Waveform) -> EmissionStart:
         asked_s = time.monotonic()
         for _ in range(_TRIES):
             on_us = self._played(link, buzzer, waveform)
             if on_us is not None:
-                self._n_plays += 1
+                self._n_plays = (self._n_plays + 1) % _PLAYS_COUNTED
                 board_s = self.clock.board_s(on_us, time.monotonic())
-                return EmissionStart(board_s, max(asked_s, self.clock.host_s(board_s)))
+                start = EmissionStart(board_s, max(asked_s, self.clock.host_s(board_s)), self.clock.fit().std_s)
+                self._over_s = start.host_time_s + waveform.duration_s
+                return start
         raise DeviceError(f"{link.path}: the board did not take `play`, {_TRIES} times: check its cable")
 
     def _played(self, link: BoardLink, buzzer: int, waveform: Waveform) -> int | None:
@@ -140,7 +164,10 @@ class SerialBoard:
         except NoAnswerError:
             return self._start_by_status(link, waveform)
         if reply.error in (ERROR_CHECKSUM, ERROR_LINE):
-            return None  # spoilt on its way, so the board has done nothing
+            return self._start_by_status(link, waveform)  # it may mean noise before the command
+        if reply.error == ERROR_BUSY and time.monotonic() > self._over_s:
+            self._wait_for_silence(link)
+            return None
         if reply.error:
             raise self._refused(link, buzzer, reply)
         return number(reply.fields, "on_us", link.path)
@@ -157,6 +184,12 @@ class SerialBoard:
             time.sleep(waveform.duration_s + _QUIET_S)
         return None
 
+    def _wait_for_silence(self, link: BoardLink) -> None:
+        """Wait for the end of a sound that should have ended: the board's clock is behind, or somebody else played."""
+        end_s = time.monotonic() + _OVERDUE_S
+        while time.monotonic() < end_s and link.ask_safely("status").reply.fields.get("state") == "playing":
+            time.sleep(_LOOK_S)
+
     def _refused(self, link: BoardLink, buzzer: int, reply: Reply) -> DeviceError:
         if reply.error == ERROR_BUSY:
             return DeviceError(f"trigger board: busy, cannot play buzzer {buzzer} yet; wait until the last sound ends")
@@ -171,21 +204,3 @@ class SerialBoard:
         return DeviceError(
             f"{link.path}: the board has stopped itself (fault {why}): check its wiring and unplug it once"
         )
-
-    def _reconnect(self, link: BoardLink, error: DeviceError) -> BoardLink:
-        """Return a new link to a board that restarted or was unplugged."""
-        self._link = None
-        link.close()
-        self._restarts += 1
-        if self._restarts > _MAX_RESTARTS:
-            raise DeviceError(f"{error}; it was lost {self._restarts} times in this session") from error
-        end_s = time.monotonic() + _RECONNECT_S
-        while True:
-            try:
-                self._link, _ = self._connected()
-            except DeviceError as refusal:
-                if time.monotonic() > end_s:
-                    raise DeviceError(f"{error}; it did not come back: {refusal}") from error
-                time.sleep(_RETRY_S)
-            else:
-                return self._link

@@ -108,14 +108,16 @@ class LineDecoder:
         return [message for line in lines if (message := self._message(line)) is not None]
 
     def _message(self, line: bytes) -> Message | None:
-        """Decode a line; a board that restarts in mid-line leaves half of it before its `! boot`."""
+        """Decode a line; a board that restarts in mid-line leaves half of it before its `! boot`.
+
+        That half is cut off first: where its own checksum happens to be 0, that of the whole would fit as well.
+        """
         if not line.strip(b"\r"):
             return None
-        message = decode(line)
-        if message is None:
+        half, mark, event = line.rpartition(b"! ")
+        message = decode(mark + event)
+        if half or message is None:
             self.skipped += 1
-            half, mark, event = line.rpartition(b"! ")
-            message = decode(mark + event) if half else None
         return message
 
 

@@ -29,8 +29,6 @@ GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_DISTORTION = 0.02, 0.02, 0.1
 # Of intrinsics found from the session: hardly a prior, but it keeps what nothing else tells from running away.
 FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_DISTORTION = 0.5, 0.2, 1.0
 
-BLOCK_NAMES = ("speed", "buzzers", "scale", "intrinsics", "poses")
-
 
 @dataclass(frozen=True)
 class PairTdoas:
@@ -92,7 +90,7 @@ def assemble(
     channels : tuple of int
         Of the microphones to be found.
     hold : tuple of str
-        Blocks of BLOCK_NAMES that are held at what the rig description, or `view`, says.
+        Of "speed", "buzzers", "scale", "intrinsics" and "poses": held at what the rig description, or `view`, says.
     find_delays : bool
         Channels may be late, each by a constant time.
 
@@ -140,8 +138,7 @@ def arrival_table(
         chosen = pair_tdoas(view, tdoas, channels)
         arrival_s, std_s, _ = arrivals_of_pairs(chosen.tdoa_s, chosen.pairs, len(channels))
     else:
-        recorded = description.audio.recorded_channels()
-        places = np.ix_(rows, np.array([recorded.index(channel) for channel in channels]))
+        places = np.ix_(rows, np.array([tdoas.sound.channels.index(channel) for channel in channels]))
         arrival_s, std_s = tdoas.sound.arrival_s[places], np.maximum(tdoas.sound.std_s[places], LEAST_ARRIVAL_STD_S)
     return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s)
 

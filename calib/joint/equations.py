@@ -104,5 +104,6 @@ class NormalEquations:
 
 def _contracted(border: FloatArray, by_shared: FloatArray) -> FloatArray:
     """Return sum_p B_p X_p of (n_poses, n_shared, 6) and (n_poses, 6, n_shared) as one product."""
-    n_shared = border.shape[1]
-    return np.asarray(border.swapaxes(0, 1).reshape(n_shared, -1) @ by_shared.reshape(-1, n_shared))
+    n_poses, n_shared, size = border.shape
+    left = border.swapaxes(0, 1).reshape(n_shared, n_poses * size)
+    return np.asarray(left @ by_shared.reshape(n_poses * size, n_shared))

@@ -14,6 +14,8 @@ from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.heldout import hold_out
+from calib.joint.observability import observability_doubts
 from calib.joint.pairs import arrivals_that_agree
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
@@ -65,7 +67,9 @@ def answer_jointly(
             *_rival_doubts(start.at.microphones_m, start.rival_m, channels),
             *suspect_doubts(suspects, solution, description, channels),
             *fit_doubts(description, fitted),
+            *observability_doubts(solution, covariance, description.camera, channels),
         ],
+        held_out=hold_out(solution, chosen),
     )
 
 

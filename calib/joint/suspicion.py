@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.joint.assemble import nodes
 from calib.joint.robust import JointSolution
 from calib.joint.suspects import Suspect
 from rigs.description import RigDescription
@@ -29,10 +30,10 @@ def _sentence(suspect: Suspect, solution: JointSolution, description: RigDescrip
             f"where board.buzzers has it: the measurements put it at [{place}]; check its place and its wire"
         )
     if suspect.kind == "delay":
-        names = (*channels, *description.audio.recorded_channels()[len(description.audio.channels) :])
+        channel, late = nodes(description, channels)[suspect.number], "late" if value[0] > 0 else "early"
         return (
-            f"channel {names[suspect.number]} is {abs(value[0]) * 1e3:.3f} ms {'late' if value[0] > 0 else 'early'}: "
-            "check that all channels are sampled together and pass the same filters"
+            f"channel {channel} is {abs(value[0]) * 1e3:.3f} ms {late}: check that all channels are sampled together "
+            "and pass the same filters"
         )
     if suspect.kind == "scale":
         size_mm = 1e3 * description.board.square_size_m * value[0]

@@ -134,10 +134,7 @@ bool is_blank(const char *line) { return Words{const_cast<char *>(line)}.at_end(
 }  // namespace
 
 bool LineReader::take(uint8_t byte, Command &command) {
-    if (byte != '\n') {
-        if (carriage_return_) invalid_ = true;  // it was not the one before an LF
-        carriage_return_ = byte == '\r';
-        if (carriage_return_) return false;
+    if (byte != '\n' && byte != '\r') {
         if (byte < 0x20 || byte > 0x7e || length_ == MAX_LENGTH) invalid_ = true;
         if (!invalid_) line_[length_++] = (char)byte;
         return false;
@@ -147,6 +144,6 @@ bool LineReader::take(uint8_t byte, Command &command) {
     command = Command();
     if (is_line) command.error = invalid_ ? ERROR_LINE : parse(line_, command);
     length_ = 0;
-    invalid_ = carriage_return_ = false;
+    invalid_ = false;
     return is_line;
 }

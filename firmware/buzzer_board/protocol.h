@@ -34,7 +34,7 @@ uint8_t crc8(uint8_t crc, uint8_t byte);
 // Collects bytes until they are a line.
 class LineReader {
   public:
-    // Takes the next byte; true when `command` holds what the line says. Empty lines are no lines.
+    // Takes the next byte; true when `command` holds what the line says. Empty lines are no lines, so CR LF ends one.
     bool take(uint8_t byte, Command &command);
 
   private:
@@ -42,5 +42,4 @@ class LineReader {
     char line_[MAX_LENGTH + 1];
     uint8_t length_ = 0;
     bool invalid_ = false;
-    bool carriage_return_ = false;
 };

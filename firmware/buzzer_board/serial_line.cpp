@@ -30,7 +30,8 @@ ISR(USART_RX_vect) {
         in[(uint8_t)(in_head - 1) % IN_SIZE] = 0;  // full: the line that lost a byte must not be taken for a command
         return;
     }
-    if (byte == '\n') last_newline = board_clock::stamp();
+    const uint8_t before = in[(uint8_t)(in_head - 1) % IN_SIZE];
+    if (byte == '\r' || (byte == '\n' && before != '\r')) last_newline = board_clock::stamp();
     in[in_head] = byte;
     in_head = next;
 }

@@ -10,7 +10,7 @@ void begin();
 bool get(uint8_t &byte);
 // Whether nothing waits to be taken or sent.
 bool is_quiet();
-// The board's clock when the last LF came in.
+// The board's clock when the last end of a line came in: LF, CR, or the CR of both.
 uint32_t newline_us();
 // How many bytes `put` takes now.
 uint8_t room();

@@ -1,5 +1,6 @@
 // The firmware with a fault built in, for the tests of its guards. BROKEN names the fault.
 #include <Arduino.h>
+#include <avr/interrupt.h>
 
 #define loop healthy_loop
 #include "buzzer_board.ino"
@@ -21,6 +22,11 @@ void hang() {  // the main loop alone
     }
 }
 
+void freeze() {  // with interrupts off, so that no guard but the watchdog's hardware is left
+    cli();
+    hang();
+}
+
 void short_circuit() { digitalWrite(BUZZER_PINS[4], HIGH); }  // a second buzzer
 
 void lose_end() { TIMSK1 &= (uint8_t)~_BV(OCIE1B); }
@@ -29,19 +35,21 @@ void lose_edges() { OCR1A -= 3000; }
 
 void overflow_stack() { (&_end)[20] = 0; }
 
-void overrun() {  // the limit: nothing to break while it sounds
+void overrun() { play_for_us(2000000); }
+
+void cancel() {  // before the first edge: no host is quick enough for that
+    play_for_us(100000);
+    player::stop(WHY_STOP);
 }
 
 }  // namespace
 
 void loop() {
+    void (*const fault)() = BROKEN;
+    const bool breaks_silence = fault == overrun || fault == cancel;
     static bool is_broken;
     healthy_loop();
-    if (!is_broken && !is_sounding() && BROKEN == overrun) {
-        is_broken = true;
-        play_for_us(2000000);
-    }
-    if (is_broken || !is_sounding()) return;
+    if (is_broken || is_sounding() == breaks_silence) return;
     is_broken = true;
-    BROKEN();
+    fault();
 }

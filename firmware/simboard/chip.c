@@ -1,8 +1,11 @@
 #include "chip.h"
 
+#include <elf.h>
+#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "avr_extint.h"
 #include "hex.h"
@@ -11,11 +14,16 @@
 #include "trace.h"
 
 enum { FREQUENCY_HZ = 16000000, MOST_CYCLES = 3200 };  // at a time, between two looks at the serial line
+enum { WDTCSR = 0x60, WDP0_TO_2 = 7, WDP3 = 1 << 5 };   // ATmega328P and 2560
+
+enum { FAMILY_MASK = 0x7f, FAMILY_OF_MEGA = 6 };        // in the header of an ELF file
 
 static avr_t *chip;
 static bool was_reset;
 static const char *cause = "watchdog";  // what resets the chip unasked
 static void (*core_reset)(avr_t *);
+static avr_int_vector_t *watchdog;
+static avr_cycle_count_t unserved_since;
 
 static void fail(const char *what, const char *which) {
     fprintf(stderr, "simboard: %s: %s\n", which, what);
@@ -27,7 +35,19 @@ static void load(const uint8_t *bytes, uint32_t size, uint32_t base, const char 
     memcpy(chip->flash + base, bytes, size);
 }
 
+static void refuse_other_chip(const char *path) {
+    Elf32_Ehdr header = {0};
+    FILE *file = fopen(path, "rb");
+    const bool is_elf = file && fread(&header, sizeof header, 1, file) == 1 && !memcmp(header.e_ident, ELFMAG, SELFMAG);
+    if (file) fclose(file);
+    if (!is_elf) fail("not an AVR ELF file", path);
+    const bool is_for_mega = (header.e_flags & FAMILY_MASK) == FAMILY_OF_MEGA, is_mega = chip->flashend >= 1 << 17;
+    if (is_for_mega && !is_mega) fail("this image is not for an ATmega328P: give --mcu atmega2560", path);
+    if (!is_for_mega && is_mega) fail("this image is not for an ATmega2560: leave out --mcu", path);
+}
+
 static void load_elf(const char *path) {
+    refuse_other_chip(path);
     elf_firmware_t elf = {0};
     if (elf_read_firmware(path, &elf) != 0 || !elf.flash) fail("not an AVR ELF file", path);
     load(elf.flash, elf.flashsize, elf.flashbase, path);
@@ -60,9 +80,18 @@ static void never_sleep(avr_t *avr, avr_cycle_count_t cycles) {
     (void)cycles;
 }
 
+// Once for each kind of error: firmware that runs wild makes the same one over and over.
 static void log_errors(avr_t *avr, const int level, const char *format, va_list arguments) {
     (void)avr;
-    if (level <= LOG_ERROR) vfprintf(stderr, format, arguments);
+    static const char *last_format;
+    if (level > LOG_ERROR || format == last_format) return;
+    last_format = format;
+    vfprintf(stderr, format, arguments);
+}
+
+static void find_watchdog(void) {
+    for (unsigned i = 0; i < chip->interrupts.vector_count; i++)
+        if (chip->interrupts.vector[i]->enable.reg == WDTCSR) watchdog = chip->interrupts.vector[i];
 }
 
 avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
@@ -75,11 +104,13 @@ avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
     chip->run_cycle_limit = MOST_CYCLES;
     chip->codeend = chip->flashend;
     for (int i = 0; i < n_images; i++) {
+        if (access(images[i], R_OK)) fail(strerror(errno), images[i]);
         const char *suffix = strrchr(images[i], '.');
         (suffix && !strcmp(suffix, ".hex") ? load_hex : load_elf)(images[i]);
     }
     core_reset = chip->reset;
     chip->reset = resetting;
+    find_watchdog();
     return chip;
 }
 
@@ -87,12 +118,27 @@ static void reset(const char *why, avr_regbit_t flag) {
     cause = why;
     avr_reset(chip);
     avr_regbit_set(chip, flag);
+}
+
+void chip_power_on(void) {
+    reset("power", chip->reset_flags.porf);
     // A boot loader waits for a new sketch only after an external reset; plugging a board in does one too.
     if (chip->reset_pc) avr_regbit_set(chip, chip->reset_flags.extrf);
 }
 
-void chip_power_on(void) { reset("power", chip->reset_flags.porf); }
 void chip_external_reset(void) { reset("external", chip->reset_flags.extrf); }
+
+// The watchdog resets a chip that did not serve its interrupt before the next time-out. libsimavr forgets that.
+static void reset_deaf_chip(void) {
+    if (!watchdog->pending) {
+        unserved_since = chip->cycle;
+        return;
+    }
+    const uint8_t control = chip->data[WDTCSR];
+    const unsigned prescaler = (control & WDP0_TO_2) | (control & WDP3 ? 8 : 0);
+    const avr_cycle_count_t time_out = (avr_cycle_count_t)(2048u << prescaler) * (FREQUENCY_HZ / 128000);
+    if (chip->cycle - unserved_since >= time_out) reset("watchdog", chip->reset_flags.wdrf);
+}
 
 bool chip_run(avr_cycle_count_t cycles) {
     for (avr_cycle_count_t end = chip->cycle + cycles; chip->cycle < end;) {
@@ -100,5 +146,6 @@ bool chip_run(avr_cycle_count_t cycles) {
         if (was_reset) spare_level_triggers();
         if (state == cpu_Done || state == cpu_Crashed) return false;
     }
+    reset_deaf_chip();
     return true;
 }

@@ -3,10 +3,12 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/inotify.h>
+#include <sys/stat.h>
 #include <termios.h>
 #include <unistd.h>
 
@@ -21,6 +23,7 @@ static int master, watch;
 static unsigned n_hosts;
 static avr_irq_t *to_chip;
 static const char *link_path;
+static char port_path[64];
 static bool chip_is_full;
 static double budget_bytes;
 static avr_cycle_count_t last_sent_cycle;
@@ -60,25 +63,48 @@ static void fail(const char *what) {
     exit(1);
 }
 
+// Whether the link leads to this path; false where it is no symbolic link, too.
+static bool link_leads_to(const char *link, const char *path) {
+    char target[PATH_MAX];
+    const ssize_t length = readlink(link, target, sizeof target - 1);
+    if (length < 0) return false;
+    target[length] = '\0';
+    return !strcmp(target, path);
+}
+
+static void refuse_link(const char *link, const char *why) {
+    fprintf(stderr, "simboard: %s: %s\n", link, why);
+    exit(2);
+}
+
+// Takes over only what a simulated board that was killed left behind: a link that leads nowhere, or to the port that is ours now.
+static void make_link(const char *link) {
+    struct stat there;
+    if (lstat(link, &there) == 0) {
+        if (!S_ISLNK(there.st_mode)) refuse_link(link, "is there already, and is not a link to a port: give another --link");
+        if (access(link, F_OK) == 0 && !link_leads_to(link, port_path))
+            refuse_link(link, "leads to a port that is there: end the simulated board that made it, or give another --link");
+        unlink(link);
+    }
+    if (symlink(port_path, link)) refuse_link(link, strerror(errno));
+    link_path = link;
+}
+
 const char *line_open(avr_t *avr, const char *link) {
     connect_uart(avr);
     master = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
     if (master < 0 || grantpt(master) || unlockpt(master)) fail("pseudo-terminal");
-    const char *path = ptsname(master);
-    int slave = open(path, O_RDWR | O_NOCTTY);
+    if (ptsname_r(master, port_path, sizeof port_path)) fail("pseudo-terminal");
+    int slave = open(port_path, O_RDWR | O_NOCTTY);
     struct termios raw;
-    if (slave < 0 || tcgetattr(slave, &raw)) fail(path);
+    if (slave < 0 || tcgetattr(slave, &raw)) fail(port_path);
     cfmakeraw(&raw);
     tcsetattr(slave, TCSANOW, &raw);
     close(slave);
     watch = inotify_init1(IN_NONBLOCK);
-    if (watch < 0 || inotify_add_watch(watch, path, IN_OPEN | IN_CLOSE) < 0) fail(path);
-    if (link) {
-        unlink(link);
-        if (symlink(path, link)) fail(link);
-        link_path = link;
-    }
-    return path;
+    if (watch < 0 || inotify_add_watch(watch, port_path, IN_OPEN | IN_CLOSE) < 0) fail(port_path);
+    if (link) make_link(link);
+    return port_path;
 }
 
 static void carry_to_chip(double elapsed_s) {
@@ -122,5 +148,5 @@ bool line_carry(double elapsed_s) {
 void line_reset(void) { chip_is_full = false; }
 
 void line_close(void) {
-    if (link_path) unlink(link_path);
+    if (link_path && link_leads_to(link_path, port_path)) unlink(link_path);
 }

@@ -46,6 +46,10 @@ void trace_reset(const char *cause) {
     if (file) fprintf(file, "%" PRIu64 " RESET %s\n", chip->cycle, cause);
 }
 
+void trace_pace(const struct timespec *start) {
+    if (file) fprintf(file, "# pace: cycle 0 at %lld.%09ld s of the monotonic clock\n", (long long)start->tv_sec, start->tv_nsec);
+}
+
 void trace_flush(void) {
     if (file) fflush(file);
 }

@@ -5,7 +5,8 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rigs.errors import SessionError, reason
+from rigs.session.damaged import DamagedFile
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _WRITE_FLAGS = 0b101  # superblock 3: open for writing, open for SWMR writing
@@ -32,10 +34,10 @@ class Container:
     cannot hold are refused wherever they are, before anything behind them is touched.
     """
 
-    def __init__(self, file: h5py.File, path: Path) -> None:
+    def __init__(self, file: h5py.File, path: Path, n_bytes: Callable[[], int]) -> None:
         self.path = path
         self._file = file
-        self._datasets = dict(_datasets(file, path))
+        self._datasets = dict(_datasets(file, path, n_bytes))
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -50,10 +52,34 @@ class Container:
         try:
             file = _open_growing(path) if growing else h5py.File(path, "r")
         except (OSError, RuntimeError, ValueError) as error:
-            raise SessionError(f"{path}: HDF5 cannot open it, it is damaged or cut short ({reason(error)})") from error
+            raise SessionError(
+                f"{path}: HDF5 cannot open it, it is damaged or cut short ({reason(error)}): copy what is "
+                "good to a new file with `rig-session recover`"
+            ) from error
+        return cls._checked(file, path, lambda: path.stat().st_size)
+
+    @classmethod
+    def open_damaged(cls, path: Path) -> Self:
+        """Open a file that `open` may refuse: cut off, or left as its killed writer left it.
+
+        Raises
+        ------
+        SessionError
+            Missing, empty, not HDF5, or so damaged that not even its names can be read.
+        """
+        _is_growing(path)
+        try:
+            view = DamagedFile(path)
+            file = h5py.File(view, "r")
+        except (OSError, RuntimeError, ValueError) as error:
+            raise SessionError(f"{path}: HDF5 cannot open it, not even in part ({reason(error)})") from error
+        return cls._checked(file, path, lambda: view.most_bytes)
+
+    @classmethod
+    def _checked(cls, file: h5py.File, path: Path, n_bytes: Callable[[], int]) -> Self:
         try:
             with reading(path):
-                return cls(file, path)
+                return cls(file, path, n_bytes)
         except BaseException:
             file.close()
             raise
@@ -93,6 +119,11 @@ class Container:
             raise SessionError(f"{self.path}: {name} is larger than 1 GiB, which no session needs")
         with reading(self.path):
             return np.asarray(dataset[()])
+
+    def crc32(self, name: str) -> int:
+        """Return the CRC-32 of all bytes of a dataset; raises SessionError as `read` does."""
+        dataset = self._datasets[name]
+        return zlib.crc32(self.read(name, dataset.dtype, dataset.shape).tobytes())
 
     def attribute(self, owner: str, name: str) -> str | float | int | None:
         """Return a scalar attribute (text or number) of the root "/", a group or a dataset; None where there is none.
@@ -148,7 +179,7 @@ def _open_growing(path: Path) -> h5py.File:
     return h5py.File(h5py.h5f.open(os.fsencode(path), h5py.h5f.ACC_RDONLY | h5py.h5f.ACC_SWMR_READ, access))
 
 
-def _datasets(file: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]:
+def _datasets(file: h5py.File, path: Path, n_bytes: Callable[[], int]) -> Iterator[tuple[str, h5py.Dataset]]:
     pending = [("", file)]
     n_objects = 0
     while pending:
@@ -162,7 +193,7 @@ def _datasets(file: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]
             if isinstance(item, h5py.Group):
                 pending.append((f"{prefix}{name}/", item))
             elif isinstance(item, h5py.Dataset):
-                _refuse_unusual(item, f"{path}: {prefix + name!r}", path)
+                _refuse_unusual(item, f"{path}: {prefix + name!r}", n_bytes)
                 yield f"{prefix}{name}", item
 
 
@@ -172,7 +203,7 @@ def _refuse_link(group: h5py.Group, name: str, where: str) -> None:
         raise SessionError(f"{where} is a soft or external link, which a session never has; not followed")
 
 
-def _refuse_unusual(dataset: h5py.Dataset, where: str, path: Path) -> None:
+def _refuse_unusual(dataset: h5py.Dataset, where: str, n_bytes: Callable[[], int]) -> None:
     storage = dataset.id.get_create_plist()
     if storage.get_layout() == h5py.h5d.VIRTUAL or storage.get_external_count():
         raise SessionError(f"{where} keeps its content in other files, which a session never does; not followed")
@@ -180,7 +211,7 @@ def _refuse_unusual(dataset: h5py.Dataset, where: str, path: Path) -> None:
         raise SessionError(f"{where} is filtered or compressed, which a session never is")
     if dataset.dtype.hasobject:
         raise SessionError(f"{where} holds objects of variable length, which a session never does; not read")
-    shape, file_bytes = dataset.shape, path.stat().st_size  # in this order: the file may be growing
+    shape, file_bytes = dataset.shape, n_bytes()  # in this order: the file may be growing
     if shape is None or math.prod(shape) * dataset.dtype.itemsize > file_bytes:
         raise SessionError(f"{where} claims the shape {shape}, more than a file of {file_bytes} bytes can hold")
     if dataset.chunks and math.prod(dataset.chunks) * dataset.dtype.itemsize > _MAX_CHUNK_BYTES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import Any
 
 import h5py
@@ -27,8 +28,11 @@ class GrowingStream:
     """
 
     def __init__(self, file: h5py.File, name: str, dtype: DTypeLike, row_shape: tuple[int, ...] = ()) -> None:
+        self.name = name
         self.dataset = _create(file, name, np.dtype(dtype), row_shape, _STREAM_CHUNK_BYTES)
         self.n_rows = 0
+        self.chunk_rows: int = self.dataset.chunks[0]
+        self._n_located = 0
 
     def append(self, rows: NDArray[Any]) -> int:
         """Append rows (n, *row_shape) and return the index of the first."""
@@ -38,9 +42,17 @@ class GrowingStream:
         self.n_rows = first + len(rows)
         return first
 
-    def flush(self) -> None:
-        """Hand all rows to the operating system."""
+    def flush(self) -> NDArray[np.int64]:
+        """Hand all rows to the operating system, and return where in the file the new chunks (n,) begin."""
         self.dataset.flush()
+        n_chunks = -(-self.n_rows // self.chunk_rows)
+        rest = (0,) * (self.dataset.ndim - 1)
+        places = [
+            self.dataset.id.get_chunk_info_by_coord((chunk * self.chunk_rows, *rest)).byte_offset
+            for chunk in range(self._n_located, n_chunks)
+        ]
+        self._n_located = n_chunks
+        return np.array(places, dtype=np.int64)
 
 
 class GrowingTable:
@@ -57,10 +69,11 @@ class GrowingTable:
     """
 
     def __init__(self, file: h5py.File, name: str, dtype: np.dtype[np.void]) -> None:
+        self.name = name
         self._dataset = _create(file, name, dtype, (), _TABLE_CHUNK_BYTES)
         self._dtype = dtype
         self._pending: list[NDArray[np.void]] = []
-        self.n_rows = 0
+        self.n_rows = self.crc32 = 0  # the checksum is that of what was flushed
 
     def append(self, *fields: object) -> int:
         """Append one record, its fields in the order of the dtype, and return its index."""
@@ -68,15 +81,23 @@ class GrowingTable:
         self.n_rows += 1
         return self.n_rows - 1
 
-    def flush(self) -> None:
-        """Write the records that wait, and hand them to the operating system."""
+    def extend(self, rows: NDArray[np.void]) -> None:
+        """Append records (n,) as they are."""
+        if len(rows):
+            self._pending.append(rows)
+            self.n_rows += len(rows)
+
+    def flush(self) -> NDArray[np.void]:
+        """Write the records that wait, hand them to the operating system, and return them."""
         if not self._pending:
-            return
+            return np.empty(0, dtype=self._dtype)
         rows = np.concatenate(self._pending)
         self._dataset.resize(self.n_rows, axis=0)
         self._dataset[self.n_rows - len(rows) :] = rows
         self._dataset.flush()
         self._pending.clear()
+        self.crc32 = zlib.crc32(rows.tobytes(), self.crc32)
+        return rows
 
 
 def _create(

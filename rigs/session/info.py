@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
+from rigs.session.layout import CLOCK_SESSION, FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
 
 _MAX_PROBLEMS = 10
@@ -44,11 +44,15 @@ def summary(session: Session) -> Iterator[tuple[str, str]]:
     yield "session", session.name
     yield "recorded", session.created_utc
     yield "rig", f"{session.description.name} (sha256 {session.description_sha256[:12]})"
+    if session.recovered:
+        yield "recovered", f"{session.recovered}; its log says what was dropped"
     yield "complete", "yes" if session.complete else "no: still recording, or cut off; good as far as it goes"
     yield (
         "audio",
         f"{session.n_samples / rate_hz:.1f} s, {session.n_channels} channels, {rate_hz:g} Hz{_losses(session)}",
     )
+    if (clock := _sample_clock(session)) is not None:
+        yield "clock", clock
     yield "frames", str(len(session.frames))
     yield "poses", _accepted(session.poses["accepted"])
     yield "emissions", _accepted(session.emissions["accepted"])
@@ -66,6 +70,16 @@ def _losses(session: Session) -> str:
     flags = session.audio_blocks["flags"]
     n_lossy = np.count_nonzero(flags & (FLAG_OVERFLOW | FLAG_GAP))
     return f", samples lost before {n_lossy} of {len(flags)} blocks" if n_lossy else ""
+
+
+def _sample_clock(session: Session) -> str | None:
+    """Say how fast the sound device really sampled; None where nobody measured it."""
+    fits = session.clock_fits[session.clock_fits["clock"] == CLOCK_SESSION]
+    if len(fits) == 0:
+        return None
+    nominal_hz = session.description.audio.sample_rate_hz
+    rate_hz, rate_std = float(fits["rate"][-1]), float(fits["rate_std"][-1])
+    return f"sampled at {rate_hz:.2f} Hz, {1e6 * (rate_hz / nominal_hz - 1):+.1f} +- {1e6 * rate_std:.1f} ppm"
 
 
 def _measured(session: Session) -> str:

@@ -6,14 +6,15 @@ import hashlib
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import h5py
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rigs.description import RigDescription
 from rigs.errors import DescriptionError, SessionError
@@ -33,38 +34,120 @@ _TRUTH_SHAPES: dict[str, tuple[int | None, ...]] = {
 }
 
 
-def write_header(file: h5py.File, name: str, description_text: str, versions: Mapping[str, str]) -> None:
-    """Write the identity, the description and the versions."""
+@dataclass(frozen=True)
+class Header:
+    """What a session is made with, and does not grow.
+
+    Parameters
+    ----------
+    name : str
+    description_text : str
+        The rig description's YAML, word for word.
+    versions : mapping of str to str
+    sample_rate_hz : float
+    truth : Truth, optional
+    corners_px : (n_poses, n_corners, 2) array, optional
+    tdoas : MeasuredTdoas, optional
+    created_utc : str
+        ISO 8601; now, unless it is a copy.
+    recovered : str
+        What it is a copy of; empty where it is none.
+    file_id : str
+        Ties the journal to the file.
+    """
+
+    name: str
+    description_text: str
+    versions: Mapping[str, str]
+    sample_rate_hz: float
+    truth: Truth | None = None
+    corners_px: NDArray[np.float64] | None = None
+    tdoas: MeasuredTdoas | None = None
+    created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    recovered: str = ""
+    file_id: str = field(default_factory=lambda: uuid4().hex)
+
+
+def write_header(file: h5py.File, header: Header) -> None:
+    """Write everything that does not grow."""
     _set_text(file, "format", layout.FORMAT)
     file.attrs.create("version", layout.VERSION, dtype="<i8")
-    _set_text(file, "name", name)
-    _set_text(file, "created_utc", datetime.now(UTC).isoformat(timespec="seconds"))
-    content = description_text.encode()
-    description = file.create_dataset(layout.DESCRIPTION, data=np.frombuffer(content, dtype=np.uint8))
+    for name in ("name", "created_utc", "file_id"):
+        _set_text(file, name, getattr(header, name))
+    if header.recovered:
+        _set_text(file, "recovered", header.recovered)
+    content = header.description_text.encode()
+    description = file.create_dataset(layout.DESCRIPTION, data=_bytes(content))
     _set_text(description, "sha256", hashlib.sha256(content).hexdigest())
-    listing = json.dumps(dict(versions), ensure_ascii=False).encode()
-    file.create_dataset(layout.VERSIONS, data=np.frombuffer(listing, dtype=np.uint8))
+    file.create_dataset(layout.VERSIONS, data=_bytes(_listing(header)))
+    for path, values in _fixed_layers(header).items():
+        file.create_dataset(path, data=values)
+    if header.truth is not None:
+        _set_text(file[layout.TRUTH], "source", header.truth.source)
 
 
-def write_measured(file: h5py.File, corners_px: NDArray[np.float64] | None, tdoas: MeasuredTdoas | None) -> None:
-    """Write measured corners (n_poses, n_corners, 2) in pixels and TDOAs, where given."""
-    if corners_px is not None:
-        _write(file, layout.CORNERS, corners_px)
-    if tdoas is not None:
-        _write(file, layout.TDOAS, tdoas.tdoa_s)
-        _write(file, layout.TDOA_PAIRS, tdoas.pairs, "<i4")
+def fixed_names(header: Header) -> list[str]:
+    """Return the names of the datasets that `write_header` makes."""
+    return [layout.DESCRIPTION, layout.VERSIONS, *_fixed_layers(header)]
 
 
-def write_truth(file: h5py.File, truth: Truth | None) -> None:
-    """Write the truth, where given."""
-    if truth is None:
-        return
-    group = file.create_group(layout.TRUTH)
-    _set_text(group, "source", truth.source)
-    for field in fields(truth):
-        value = getattr(truth, field.name)
-        if field.name != "source" and value is not None:
-            _write(group, field.name, np.atleast_1d(value))
+def journal_header(header: Header) -> dict[str, NDArray[Any]]:
+    """Return the same as arrays, for the journal."""
+    texts = {
+        "name": header.name.encode(),
+        "created_utc": header.created_utc.encode(),
+        "file_id": header.file_id.encode(),
+        "truth_source": (header.truth.source if header.truth else "").encode(),
+        layout.DESCRIPTION: header.description_text.encode(),
+        layout.VERSIONS: _listing(header),
+    }
+    rate_hz = {"sample_rate_hz": np.array([header.sample_rate_hz])}
+    return {name: _bytes(text) for name, text in texts.items()} | rate_hz | _fixed_layers(header)
+
+
+def header_from_journal(arrays: Mapping[str, NDArray[Any]]) -> Header:
+    """Return the header that `journal_header` made the arrays of."""
+    text = {name: arrays[name].tobytes().decode() for name in arrays if arrays[name].dtype == np.uint8}
+    truth: dict[str, Any] = {
+        name: arrays[f"{layout.TRUTH}/{name}"] for name in _TRUTH_SHAPES if f"{layout.TRUTH}/{name}" in arrays
+    }
+    if "speed_of_sound_m_s" in truth:
+        truth["speed_of_sound_m_s"] = float(truth["speed_of_sound_m_s"][0])
+    return Header(
+        text["name"],
+        text[layout.DESCRIPTION],
+        json.loads(text[layout.VERSIONS]),
+        float(arrays["sample_rate_hz"][0]),
+        Truth(source=text["truth_source"], **truth) if "microphones_m" in truth else None,
+        arrays.get(layout.CORNERS),
+        MeasuredTdoas(arrays[layout.TDOAS], arrays[layout.TDOA_PAIRS]) if layout.TDOAS in arrays else None,
+        text["created_utc"],
+        file_id=text["file_id"],
+    )
+
+
+def _fixed_layers(header: Header) -> dict[str, NDArray[Any]]:
+    """Return measured layers and truth, where given, by their names in the file."""
+    fixed: dict[str, Any] = {}
+    if header.corners_px is not None:
+        fixed[layout.CORNERS] = header.corners_px
+    if header.tdoas is not None:
+        fixed[layout.TDOAS] = header.tdoas.tdoa_s
+    if header.truth is not None:
+        values = {name: getattr(header.truth, name) for name in _TRUTH_SHAPES}
+        fixed |= {f"{layout.TRUTH}/{name}": np.atleast_1d(each) for name, each in values.items() if each is not None}
+    arrays = {name: np.asarray(values, dtype="<f8") for name, values in fixed.items()}
+    if header.tdoas is not None:
+        arrays[layout.TDOA_PAIRS] = np.asarray(header.tdoas.pairs, dtype="<i4")
+    return arrays
+
+
+def _listing(header: Header) -> bytes:
+    return json.dumps(dict(header.versions), ensure_ascii=False).encode()
+
+
+def _bytes(content: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(content, dtype=np.uint8)
 
 
 def read_identity(container: Container) -> tuple[str, str]:
@@ -114,8 +197,13 @@ def read_versions(container: Container) -> dict[str, str]:
     return listing
 
 
+def read_table(container: Container, name: str, dtype: np.dtype[np.void]) -> NDArray[Any]:
+    """Return an optional table of records; empty where there is none."""
+    return container.read(name, dtype, (None,)) if name in container else np.empty(0, dtype)
+
+
 def read_corners(
-    container: Container, description: RigDescription, n_poses: int, judge: Judge
+    container: Container, description: RigDescription, n_poses: int | None, judge: Judge
 ) -> NDArray[np.float64] | None:
     """Return measured corners (n_poses, n_corners, 2) in pixels, None where there are none; raises SessionError."""
     if layout.CORNERS not in container:
@@ -126,7 +214,9 @@ def read_corners(
     return corners_px
 
 
-def read_tdoas(container: Container, channels: tuple[int, ...], n_emissions: int, judge: Judge) -> MeasuredTdoas | None:
+def read_tdoas(
+    container: Container, channels: tuple[int, ...], n_emissions: int | None, judge: Judge
+) -> MeasuredTdoas | None:
     """Return measured TDOAs, None where there are none; raises SessionError."""
     if layout.TDOAS not in container:
         return None
@@ -158,10 +248,6 @@ def read_truth(container: Container, description: RigDescription) -> Truth | Non
     if "speed_of_sound_m_s" in found:
         found["speed_of_sound_m_s"] = float(found["speed_of_sound_m_s"][0])
     return Truth(source=str(container.attribute(layout.TRUTH, "source") or "unknown"), **found)
-
-
-def _write(parent: h5py.Group, name: str, values: ArrayLike, dtype: str = "<f8") -> None:
-    parent.create_dataset(name, data=np.asarray(values, dtype=dtype))
 
 
 def _set_text(owner: Any, name: str, text: str) -> None:

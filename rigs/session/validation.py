@@ -98,9 +98,9 @@ class Judge:
             emissions, known_pose, lambda k: f"emission {k} names pose {emissions['pose'][k]}, which is not in poses"
         )
 
-    def measured_rows(self, n_measured: int, n_rows: int, what: str) -> None:
-        """Refuse a measured layer that does not belong to its table."""
-        if n_measured != n_rows:
+    def measured_rows(self, n_measured: int, n_rows: int | None, what: str) -> None:
+        """Refuse a measured layer that does not belong to its table; None: its table is not known yet."""
+        if n_rows is not None and n_measured != n_rows:
             raise SessionError(f"{self.where}: {what} has {n_measured} rows, its table has {n_rows}")
 
     def _trusted(self, rows: Table, good: NDArray[np.bool_], complaint: Callable[[int], str]) -> Table:

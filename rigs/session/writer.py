@@ -1,49 +1,43 @@
-"""The writer of a session file: everything is laid out first, then appended to in SWMR mode."""
+"""The writer of a session file: what a capture appends to it, and when that is flushed."""
 
 from __future__ import annotations
 
-import os
+import math
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError, SessionWriteError, TargetError, TargetExistsError, reason
-from rigs.session import layers, layout, picture
-from rigs.session.growing import GrowingStream, GrowingTable
+from rigs.errors import SessionError
+from rigs.session import layout, picture
+from rigs.session.growing_file import GrowingFile
+from rigs.session.layers import Header
 from rigs.session.layout import MeasuredTdoas, Truth
+from rigs.session.publication import Publication, refuse_existing
 
-_LIBVER = ("v110", "v110")  # the oldest that knows SWMR; PyTables and MATLAB cannot read "latest"
-_FLUSH_INTERVAL_S = 1.0
+_FLUSH_INTERVAL_S = 0.25
 
 
 class SessionWriter:
     """Appends a recording to a new session file; make one with `create`, use it from one thread.
 
-    Whatever was flushed survives a crash. The writer flushes by itself after every second of audio. `close` marks the
-    session complete; leaving a `with` block by an exception closes the file without that mark; it still reads.
+    Whatever was flushed survives a crash of this program, and half a second later a power loss too: a thread syncs the
+    file and a journal beside it. The writer flushes by itself after every quarter of a second of audio. `close` marks
+    the session complete and deletes the journal; leaving a `with` block by an exception closes the file without that
+    mark; it still reads.
     """
 
-    def __init__(self, file: h5py.File, path: Path, n_channels: int, sample_rate_hz: float) -> None:
-        self._file, self._path, self._n_channels = file, path, n_channels
-        self._failure: SessionWriteError | None = None  # once the disk refused, every later call says so
-        self._flush_interval_samples = round(_FLUSH_INTERVAL_S * sample_rate_hz)
+    def __init__(self, publication: Publication, header: Header, n_channels: int) -> None:
+        self._publication, self._n_channels = publication, n_channels
+        self._file = GrowingFile(publication.path, publication.hidden, header, n_channels)
+        self._next_flags = 0
+        self._flush_interval_samples = round(_FLUSH_INTERVAL_S * header.sample_rate_hz)
         self._n_flushed_samples = 0
-        self._time_data = GrowingStream(file, layout.TIME_DATA, "<f4", (n_channels,))
-        self._time_data.dataset.attrs.create("sample_freq", float(sample_rate_hz))
-        self._pictures = GrowingStream(file, layout.CAMERA_STREAM, np.uint8)
-        self._blocks = GrowingTable(file, layout.AUDIO_BLOCKS, layout.AUDIO_BLOCK)
-        self._frames = GrowingTable(file, layout.CAMERA_FRAMES, layout.FRAME)
-        self._emissions = GrowingTable(file, layout.EMISSIONS, layout.EMISSION)
-        self._poses = GrowingTable(file, layout.POSES, layout.POSE)
-        self._log = GrowingTable(file, layout.LOG, layout.LOG_LINE)
-        self._state = file.create_dataset(layout.STATE, data=np.array([layout.STATE_OPEN], dtype=np.uint8))
 
     @classmethod
     def create(
@@ -86,20 +80,55 @@ class SessionWriter:
         SessionError
             The folder is missing, or the file cannot be written.
         """
-        path = Path(path)
-        file = _create_file(path)
+        header = Header(name, description_text, versions, float(sample_rate_hz), truth, corners_px, tdoas)
+        refuse_existing(Path(path))
+        writer = cls.begin(Path(path), header, n_channels)
         try:
-            with _writing(path):
-                layers.write_header(file, name, description_text, versions)
-                layers.write_measured(file, corners_px, tdoas)
-                layers.write_truth(file, truth)
-                writer = cls(file, path, n_channels, sample_rate_hz)
-                file.swmr_mode = True
+            writer.publish()
         except BaseException:
-            _abandon(file)
-            path.unlink(missing_ok=True)
+            writer.discard()
             raise
         return writer
+
+    @classmethod
+    def begin(cls, path: Path, header: Header, n_channels: int) -> Self:
+        """Make a new session under a hidden name beside `path`, to be published or discarded.
+
+        Raises
+        ------
+        SessionError
+            The folder is missing, or the file cannot be written.
+        TargetExistsError
+            Another program makes this very session.
+        """
+        publication = Publication(path)
+        try:
+            return cls(publication, header, n_channels)
+        except BaseException:
+            publication.discard()
+            raise
+
+    def publish(self) -> None:
+        """Give the session its name; raises TargetExistsError where something has it."""
+        self._publication.publish()
+
+    def replace(self, *, keep: bool) -> Path | None:
+        """Put the session in the place of an older one of its name once all is on the disk.
+
+        Returns the other name under which the older one is kept, where `keep` asks for it.
+        """
+        self.flush()
+        self._file.settle()
+        return self._publication.replace(keep=keep)
+
+    def discard(self) -> None:
+        """Delete a session that was never published."""
+        self._file.let_go()
+        self._publication.discard()
+
+    def mark_resumed(self) -> None:
+        """Flag the next block of audio: a later run begins there."""
+        self._next_flags |= layout.FLAG_RESUMED
 
     def append_audio(
         self, samples: NDArray[np.float32], *, host_time_s: float, adc_time_s: float, flags: int = 0
@@ -123,12 +152,15 @@ class SessionWriter:
         """
         if samples.ndim != 2 or samples.shape[1] != self._n_channels:
             raise SessionError(
-                f"{self._path}: audio of shape {samples.shape} does not fit a session of {self._n_channels} channels"
+                f"{self._publication.path}: audio of shape {samples.shape} does not fit a session of "
+                f"{self._n_channels} channels"
             )
         rows = np.ascontiguousarray(samples, dtype="<f4")
-        with self._appending():
-            first = self._time_data.append(rows)
-            self._blocks.append(first, len(rows), host_time_s, adc_time_s, flags, zlib.crc32(rows.data))
+        flags, self._next_flags = flags | self._next_flags, 0
+        first = self._file.append_rows(layout.TIME_DATA, rows)
+        self._file.append_record(
+            layout.AUDIO_BLOCKS, first, len(rows), host_time_s, adc_time_s, flags, zlib.crc32(rows.data)
+        )
         if self.n_samples - self._n_flushed_samples >= self._flush_interval_samples:
             self.flush()
         return first
@@ -141,10 +173,12 @@ class SessionWriter:
         SessionError
             Not such a picture, or the file cannot be written.
         """
-        png = picture.encode(image)
-        with self._appending():
-            offset = self._pictures.append(png)
-            return self._frames.append(offset, len(png), host_time_s, pose, zlib.crc32(png.data))
+        return self.append_png(picture.encode(image), host_time_s=host_time_s, pose=pose)
+
+    def append_png(self, png: NDArray[np.uint8], *, host_time_s: float, pose: int) -> int:
+        """Append a picture that is PNG bytes (n,) already, and return its index."""
+        offset = self._file.append_rows(layout.CAMERA_STREAM, png)
+        return self._file.append_record(layout.CAMERA_FRAMES, offset, len(png), host_time_s, pose, zlib.crc32(png.data))
 
     def append_emission(
         self,
@@ -157,34 +191,64 @@ class SessionWriter:
         host_time_s: float,
         expected_sample: int,
         accepted: bool,
+        predicted_sample: float = math.nan,
+        predicted_std_s: float = math.nan,
+        measured_sample: float = math.nan,
+        latency_s: float = math.nan,
     ) -> None:
-        """Append what was played; the fields are those of `layout.EMISSION`."""
+        """Append what was played; the fields are those of `layout.EMISSION` and `layout.ONSET`."""
         label = _cut(waveform, layout.EMISSION["waveform"].itemsize)
-        with self._appending():
-            self._emissions.append(
-                pose, buzzer, repeat, label, board_time_s, host_time_s, expected_sample, bool(accepted)
-            )
+        self._file.append_record(layout.ONSETS, predicted_sample, predicted_std_s, measured_sample, latency_s)
+        self._file.append_record(
+            layout.EMISSIONS, pose, buzzer, repeat, label, board_time_s, host_time_s, expected_sample, bool(accepted)
+        )
+
+    def append_ping(self, *, earliest_host_time_s: float, latest_host_time_s: float, board_time_s: float) -> None:
+        """Append a reading of the trigger board's clock; the fields are those of `layout.PING`."""
+        self._file.append_record(layout.PINGS, earliest_host_time_s, latest_host_time_s, board_time_s)
+
+    def append_clock_fit(
+        self,
+        *,
+        clock: bytes,
+        since_host_time_s: float,
+        host_time_s: float,
+        reading: float,
+        rate: float,
+        rate_std: float,
+        std_s: float,
+        n_readings: int,
+    ) -> None:
+        """Append a line from a device's clock to the host's; the fields are those of `layout.CLOCK_FIT`."""
+        self._file.append_record(
+            layout.CLOCK_FITS, clock, since_host_time_s, host_time_s, reading, rate, rate_std, std_s, n_readings
+        )
 
     def append_pose(self, *, pose: int, start_host_time_s: float, end_host_time_s: float, accepted: bool) -> None:
         """Append a board position that is done with; the fields are those of `layout.POSE`."""
-        with self._appending():
-            self._poses.append(pose, start_host_time_s, end_host_time_s, bool(accepted))
+        self._file.append_record(layout.POSES, pose, start_host_time_s, end_host_time_s, bool(accepted))
 
     def append_log(self, host_time_s: float, level: str, text: str) -> None:
         """Append a log line; text of more than 240 bytes is cut, level ("info", "warning", "error") at 8 bytes."""
         line = layout.LOG_LINE
-        with self._appending():
-            self._log.append(host_time_s, _cut(level, line["level"].itemsize), _cut(text, line["text"].itemsize))
+        self._file.append_record(
+            layout.LOG, host_time_s, _cut(level, line["level"].itemsize), _cut(text, line["text"].itemsize)
+        )
+
+    def extend(self, tables: Mapping[str, NDArray[np.void]]) -> None:
+        """Append rows of another session's tables, by name, as they are."""
+        for name, rows in tables.items():
+            self._file.extend(name, rows)
 
     @property
     def n_samples(self) -> int:
         """Samples appended so far, per channel."""
-        return self._time_data.n_rows
+        return self._file.n_rows(layout.TIME_DATA)
 
     @property
     def n_frames(self) -> int:
         """Pictures appended so far."""
-        return self._frames.n_rows
+        return self._file.n_rows(layout.CAMERA_FRAMES)
 
     def flush(self) -> None:
         """Hand everything to the operating system: from here on it survives a crash of this program.
@@ -194,11 +258,7 @@ class SessionWriter:
         SessionError
             The file cannot be written.
         """
-        with self._appending():
-            for stream in (self._time_data, self._pictures):
-                stream.flush()
-            for table in (self._blocks, self._frames, self._poses, self._emissions, self._log):
-                table.flush()
+        self._file.flush()
         self._n_flushed_samples = self.n_samples
 
     def close(self) -> None:
@@ -220,60 +280,14 @@ class SessionWriter:
         else:
             with suppress(SessionError):  # the error under way says more
                 self._close(layout.STATE_OPEN)
+            if not self._publication.is_done:
+                self.discard()
 
     def _close(self, state: int) -> None:
-        if not self._file:
+        if not self._file.is_open:
             return
-        self.flush()
-        with self._appending():
-            self._state[0] = state
-            self._file.flush()
-            self._file.close()
-
-    @contextmanager
-    def _appending(self) -> Iterator[None]:
-        if self._failure is not None:
-            raise self._failure
-        if not self._file:
-            raise SessionError(f"{self._path}: this session is closed; nothing can be added to it")
-        try:
-            with _writing(self._path):
-                yield
-        except SessionWriteError as failure:
-            self._failure = failure
-            _abandon(self._file)
-            raise
-
-
-def _create_file(path: Path) -> h5py.File:
-    if not path.parent.is_dir():
-        raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
-    try:
-        return h5py.File(path, "x", libver=_LIBVER)
-    except (OSError, ValueError) as error:
-        if path.exists() or path.is_symlink():
-            raise TargetExistsError(f"{path}: there is already something of this name: choose another name") from error
-        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        raise SessionWriteError(
-            f"{path}: cannot be written ({reason(error)}): free some space or use another disk; "
-            "what was flushed before is kept"
-        ) from error
-
-
-def _abandon(file: h5py.File) -> None:
-    """Leave the file on the disk as it was last flushed; HDF5 crashes when it cannot write what it still holds."""
-    with suppress(OSError, RuntimeError, ValueError):
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        os.dup2(nowhere, file.id.get_vfd_handle())
-        os.close(nowhere)
-        file.close()
+        self._file.close(state)
+        self._publication.drop_journal()
 
 
 def _cut(text: str, n_bytes: int) -> bytes:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from acquire.devices.base import EmissionStart, TriggerBoard
+from acquire.devices.base import ClockFit, EmissionStart, Ping, TriggerBoard
 from acquire.devices.simulated.stage import Emission, Stage
+from acquire.errors import DeviceError
 from rigs.waveform import Waveform
 
 _RATE = 1.0  # the board's drift over one emission is too small to be heard
@@ -30,12 +31,22 @@ class HeardTrigger:
 
     def play(self, buzzer: int, waveform: Waveform) -> EmissionStart:
         """Start one emission and return at once. Raises DeviceError."""
+        if self._stage.faults("trigger_lost"):
+            raise DeviceError("trigger board: no answer, by the simulated fault trigger_lost; check its cable")
         start = self._board.play(buzzer, waveform)
         stage, silent = self._stage, {fault.buzzer or self._buzzers[0] for fault in self._stage.faults("silent_buzzer")}
         if buzzer in self._buzzers and buzzer not in silent:
             here, index = stage.board_to_camera(start.host_time_s), self._buzzers.index(buzzer)
             stage.emit(Emission(index, waveform, start.host_time_s, _RATE, stage.pose, here))
         return start
+
+    def read_clock(self) -> list[Ping]:
+        """Read the board's clock once more, and return all readings since the last call. Raises as `play` does."""
+        return self._board.read_clock()
+
+    def clock_fit(self) -> ClockFit:
+        """Return the line from the board's clock to the host's."""
+        return self._board.clock_fit()
 
     def close(self) -> None:
         """Silence the board and let it go; safe to call twice."""

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import AudioBlock
 from acquire.devices.simulated.draws import draws
+from acquire.devices.simulated.flaws import flawed_sound
 from acquire.devices.simulated.oscillator import Oscillator
 from acquire.devices.simulated.sound import SoundField
 from acquire.devices.simulated.stage import Stage
@@ -19,6 +20,7 @@ _STAMP_JITTER_S = 0.001
 _GAIN_SPREAD_DB = 2.0
 _LOUD_GAIN = 200.0
 _LOST_SAMPLES = 2000
+_SKIPPED_SAMPLES = 12000
 
 
 class SimulatedMicrophones:
@@ -38,11 +40,14 @@ class SimulatedMicrophones:
         self._next_sample = 0
         self._n_rendered = 0
         self._ringing: list[tuple[int, NDArray[np.float32]]] = []
-        self._has_overflowed = False
+        self._has_overflowed = self._has_jumped = False
 
     def open(self) -> str:
-        """Start recording and return the driver's name and version."""
+        """Start recording and return the driver's name and version. Raises DeviceError while it is unplugged."""
+        if self._stage.is_out("audio_lost"):
+            raise DeviceError("audio: there is no simulated sound device: plug it in")
         self._start_s = self._stage.clock.now_s()
+        self._next_sample, self._ringing = 0, []
         self._n_rendered = len(self._stage.emissions)
         return "simulated-audio 1.0"
 
@@ -54,8 +59,9 @@ class SimulatedMicrophones:
         DeviceError
             The device is not open, or lost.
         """
-        if self._stage.faults("audio_lost"):
-            raise DeviceError("audio: the simulated sound device is gone; check its cable and start again")
+        if self._stage.is_out("audio_lost"):
+            self._start_s = None
+            raise DeviceError("audio: the simulated sound device is gone: check its cable")
         if self._start_s is None:
             raise DeviceError("audio: the simulated sound device is not open; open it first")
         self._render_new_emissions(self._start_s)
@@ -77,16 +83,17 @@ class SimulatedMicrophones:
         self._n_rendered = len(self._stage.emissions)
 
     def _next_block(self, start_s: float) -> AudioBlock | None:
-        lost = self._samples_to_lose()
-        first = self._next_sample + lost
+        lost, skipped = self._samples_to_lose(), self._samples_to_skip()
+        first = self._next_sample + lost + skipped
         if first + BLOCK_SAMPLES > self._sample_at(self._stage.clock.now_s(), start_s):
             return None
         self._next_sample = first + BLOCK_SAMPLES
         self._has_overflowed |= lost > 0
+        self._has_jumped |= skipped > 0
         taken_s = start_s + first / (self._sample_rate_hz * self._oscillator.rate)
         rng = draws(self._stage.scene.seed, "microphone noise", first)
         samples = self._samples(first, rng)
-        stamp_s = taken_s + _STAMP_JITTER_S * rng.standard_normal()
+        stamp_s = taken_s + _STAMP_JITTER_S * abs(rng.standard_normal())  # a callback comes late, never early
         return AudioBlock(samples, stamp_s, self._oscillator.reading_s(taken_s), FLAG_OVERFLOW if lost else 0)
 
     def _samples(self, first: int, rng: np.random.Generator) -> NDArray[np.float32]:
@@ -96,7 +103,8 @@ class SimulatedMicrophones:
             low, high = max(first, start), min(first + BLOCK_SAMPLES, start + len(sound))
             if low < high:
                 block[low - first : high - first] += sound[low - start : high - start]
-        return np.clip(block * self._channel_gain(), -1.0, 1.0).astype(np.float32)
+        block = flawed_sound(block * self._channel_gain(), first, self._stage, rng)
+        return np.asarray(np.clip(block, -1.0, 1.0), dtype=np.float32)
 
     def _channel_gain(self) -> NDArray[np.float64]:
         gain = self._gain.copy()
@@ -104,6 +112,12 @@ class SimulatedMicrophones:
             for fault in self._stage.faults(kind):
                 gain[self._channels.index(fault.channel or self._channels[0])] *= factor
         return gain
+
+    def _samples_to_skip(self) -> int:
+        """Lose samples once and say nothing, while a sound of the pose is being recorded (fault clock_jump)."""
+        if self._has_jumped or not self._ringing or not self._stage.faults("clock_jump"):
+            return 0
+        return _SKIPPED_SAMPLES if self._stage.emissions[-1].pose == self._stage.pose else 0
 
     def _samples_to_lose(self) -> int:
         """Lose samples once, while the first sound of the pose is being recorded (fault audio_overflow)."""

@@ -14,10 +14,12 @@ from acquire.devices.simulated.trigger import SimulatedTrigger
 from rigs.description import RigDescription
 
 
-def simulated_rig(description: RigDescription, seed: int, board: TriggerBoard | None = None) -> Rig:
+def simulated_rig(
+    description: RigDescription, seed: int, board: TriggerBoard | None = None, *, in_real_time: bool = False
+) -> Rig:
     """Return the simulated devices of one scene, not yet opened.
 
-    Time is virtual, unless a real trigger board is given: it keeps its own time, so the scene keeps the host's.
+    Time is virtual, unless a real device is part of the rig: it keeps its own time, so the scene keeps the host's.
 
     Parameters
     ----------
@@ -25,13 +27,15 @@ def simulated_rig(description: RigDescription, seed: int, board: TriggerBoard | 
     seed : int
     board : TriggerBoard, optional
         A real board, heard in the simulated room instead of the simulated one.
+    in_real_time : bool
+        Whether another real device is part of the rig.
 
     Raises
     ------
     rigs.errors.DescriptionError
         A fault names a channel or a buzzer that the rig does not have, or the ChArUco dictionary is too small.
     """
-    clock = MonotonicClock() if board else VirtualClock()
+    clock = MonotonicClock() if board or in_real_time else VirtualClock()
     scene = draw_scene(description, seed)
     stage = Stage(scene, clock)
     return Rig(

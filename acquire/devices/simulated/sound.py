@@ -17,6 +17,7 @@ from rigs.waveform import Waveform
 
 FloatArray = NDArray[np.float64]
 _PEAK_AT_1M = 0.08  # of full scale
+_SYNC_LEVEL = 0.5
 
 
 class SoundField:
@@ -54,8 +55,8 @@ class SoundField:
         -------
         first_sample : int
             Sample number of the first row.
-        pressure : (n_samples, n_microphones) array
-            Full scale = 1.
+        pressure : (n_samples, n_channels) array
+            Full scale = 1; columns as in `Audio.recorded_channels`.
         """
         source_m = emission.board_to_camera.apply(self._scene.buzzers_m[emission.buzzer])
         rng = draws(self._scene.seed, "echo", emission.pose + 1, emission.buzzer)
@@ -64,8 +65,10 @@ class SoundField:
         whole = int(np.floor(start_sample))
         rate_hz = self._sample_rate_hz / emission.board_rate
         impulses = _edge_impulses(emission.waveform, rate_hz, start_sample - whole)
-        wet = _filtered(impulses, responses, self._piezos[emission.buzzer], self._sample_rate_hz)
-        return whole - 2 * HALF_WIDTH_SAMPLES, (self._level * wet.T).astype(np.float32)
+        wet = self._level * _filtered(impulses, responses, self._piezos[emission.buzzer], self._sample_rate_hz)
+        if self._scene.description.audio.sync_channel is not None:
+            wet = np.concatenate([wet, _sync_output(impulses, wet.shape[1])])
+        return whole - 2 * HALF_WIDTH_SAMPLES, wet.T.astype(np.float32)
 
 
 def _edge_impulses(waveform: Waveform, sample_rate_hz: float, offset_samples: float) -> FloatArray:
@@ -74,6 +77,15 @@ def _edge_impulses(waveform: Waveform, sample_rate_hz: float, offset_samples: fl
     position = time_s * sample_rate_hz + offset_samples + HALF_WIDTH_SAMPLES
     n_samples = int(position[-1]) + HALF_WIDTH_SAMPLES + 2
     return np.asarray(band_limited_impulses(position[None], step[None], n_samples)[0])
+
+
+def _sync_output(impulses: FloatArray, n_samples: int) -> FloatArray:
+    """Return the pin's level (1, n_samples) by wire: without the time and the echoes that the air adds."""
+    level = np.zeros((1, n_samples))
+    level[0, HALF_WIDTH_SAMPLES : HALF_WIDTH_SAMPLES + len(impulses)] = _SYNC_LEVEL * (
+        np.cumsum(impulses) - impulses / 2
+    )
+    return level
 
 
 def _filtered(impulses: FloatArray, responses: FloatArray, piezo: Piezo, sample_rate_hz: float) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -71,6 +72,8 @@ class Stage:
         self.emissions: list[Emission] = []
         self._movement = Movement(_PARKED, _PARKED, clock.now_s() - 1, clock.now_s())
         self._slid = False
+        self._out_since_s: dict[Fault, float] = {}
+        self._happened: set[Fault] = set()
 
     def ask_for_pose(self, pose: int) -> None:
         """Move the board to a planned pose, from wherever it is; no matter if it was asked for before."""
@@ -96,6 +99,24 @@ class Stage:
         """Return the faults of a kind that are due at the pose asked for last."""
         due = max(0, self.pose)
         return [fault for fault in self.scene.description.simulation.faults if fault.kind == kind and fault.pose <= due]
+
+    def is_out(self, kind: str) -> bool:
+        """Tell whether a device is gone by a fault of this kind: for ever, or for a while from mid-pose on."""
+        now_s = self.clock.now_s()
+        for fault in self.faults(kind) if self.pose >= 0 else []:
+            if fault.duration_s is None:
+                return True
+            if self._is_half_measured():
+                self._out_since_s.setdefault(fault, now_s)
+            if now_s < self._out_since_s.get(fault, -math.inf) + fault.duration_s:
+                return True
+        return False
+
+    def happens(self, kind: str) -> bool:
+        """Tell whether a fault of this kind, which happens but once, happens now: in the middle of its pose."""
+        due = [fault for fault in self.faults(kind) if fault not in self._happened and self._is_half_measured()]
+        self._happened.update(due)
+        return bool(due)
 
     def _is_half_measured(self) -> bool:
         description = self.scene.description

@@ -1,0 +1,59 @@
+"""The latency of the audio path: how much later a sound is found in the recording than the clocks say."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+_BEFORE_S, _AFTER_S = 0.05, 0.4  # USB and sound servers: tens to hundreds of milliseconds
+_KEPT = 25  # emissions; a slow change is followed
+_FIRST_STD_S = 0.003  # the way of the sound differs from pose to pose
+
+
+class Latency:
+    """Learnt from the first emission that is heard, then the median of the last ones.
+
+    It holds all that is constant: buffers of the sound device and its server, the board's own delay, and the typical
+    way of the sound.
+
+    Parameters
+    ----------
+    tolerance_s : float
+        How far an onset may be from where the latency lets it be expected.
+    """
+
+    def __init__(self, tolerance_s: float) -> None:
+        self._tolerance_s = tolerance_s
+        self._offsets_s: deque[float] = deque(maxlen=_KEPT)
+
+    @property
+    def is_known(self) -> bool:
+        """An emission was heard since the audio path was last changed."""
+        return bool(self._offsets_s)
+
+    @property
+    def value_s(self) -> float:
+        """What is known of it; 0 before the first emission."""
+        return float(np.median(self._offsets_s)) if self._offsets_s else 0.0
+
+    @property
+    def std_s(self) -> float:
+        """The standard deviation of a single emission's latency about `value_s`."""
+        if len(self._offsets_s) < 3:
+            return _FIRST_STD_S
+        return float(np.std(self._offsets_s, ddof=1))
+
+    def window_s(self) -> tuple[float, float]:
+        """Return (first, last): where an onset is looked for, relative to where the clocks put it."""
+        if not self.is_known:
+            return -_BEFORE_S, _AFTER_S
+        return self.value_s - self._tolerance_s, self.value_s + self._tolerance_s
+
+    def learn(self, offset_s: float) -> None:
+        """Take in how much later than the clocks say an emission was heard."""
+        self._offsets_s.append(offset_s)
+
+    def forget(self) -> None:
+        """Learn it anew: the audio path is another one now."""
+        self._offsets_s.clear()

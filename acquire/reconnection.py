@@ -1,0 +1,77 @@
+"""The reconnection: a device that was lost is waited for and opened again, or the capture ends."""
+
+from __future__ import annotations
+
+from acquire.errors import DeviceError, DeviceLostError
+from acquire.recording import Recording
+from acquire.status import State
+from rigs.description import RigDescription
+
+_RETRY_S = 0.5
+_MAX_LOSSES = 5  # without a good pose in between: a loose contact, which waiting does not mend
+_NAMES = {"trigger": "the trigger board", "audio": "the sound device", "camera": "the camera"}
+
+
+class Reconnection:
+    """Brings lost devices back.
+
+    Parameters
+    ----------
+    recording : Recording
+    description : RigDescription
+    """
+
+    def __init__(self, recording: Recording, description: RigDescription) -> None:
+        self._recording, self._wait_s = recording, description.capture.device_wait_s
+        self._losses = 0
+
+    def forgive(self) -> None:
+        """Count losses anew: a pose was good."""
+        self._losses = 0
+
+    def restore(self, loss: DeviceLostError) -> None:
+        """Wait until a device is there again, and open it; audio is recorded meanwhile, if it is not the one.
+
+        Raises
+        ------
+        DeviceError
+            It did not come back, or was lost again and again.
+        FirmwareError
+            What came back is another trigger board.
+        InterruptedCaptureError, DiskShortError
+        """
+        name, status = _NAMES[loss.part], self._recording.status
+        state, advice, status.advice = status.state, status.advice, f"{name}: check its cable"
+        status.state = State.RECONNECTING
+        self._losses += 1
+        if self._losses > _MAX_LOSSES:
+            raise DeviceError(f"{loss}; devices were lost {self._losses} times without a good pose in between")
+        self._recording.say("warning", f"{loss}; waiting for {name}, {self._wait_s:g} s at most")
+        driver = self._opened(loss)
+        self._recording.reopened(loss.part)
+        self._recording.say("info", f"{name} is there again ({driver})")
+        status.state, status.advice = state, advice
+
+    def _opened(self, loss: DeviceLostError) -> str:
+        device, clock = getattr(self._recording.rig, loss.part), self._recording.rig.clock
+        end_s = clock.now_s() + self._wait_s
+        while True:
+            device.close()
+            try:
+                return str(device.open())
+            except DeviceError as refusal:
+                if clock.now_s() >= end_s:
+                    raise DeviceError(
+                        f"{_NAMES[loss.part]} did not come back within {self._wait_s:g} s, go on with --resume when it "
+                        f"is there: {refusal}"
+                    ) from loss
+            self._wait(loss)
+
+    def _wait(self, loss: DeviceLostError) -> None:
+        if loss.part == "audio":
+            self._recording.idle(_RETRY_S)
+            return
+        try:
+            self._recording.record(_RETRY_S)
+        except DeviceLostError as another:
+            self.restore(another)

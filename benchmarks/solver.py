@@ -1,0 +1,235 @@
+"""The joint solve: accuracy against the Cramer-Rao bound, what it withstands, and speed.
+
+Run by `make bench`; `--seeds 100` and `--rounds 1000` for the full tables. Speeds are ratios within this one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from conftest import AISLAB, BUZZERS_M, board_poses
+from measured_rig import Rig, make_rig
+
+from calib.joint.arrivals import ArrivalTable
+from calib.joint.descend import descend
+from calib.joint.problem import JointProblem, Priors
+from calib.joint.robust import solve_robustly
+from calib.joint.search import RangeTable, descend_together
+from calib.joint.start import find_start, range_table
+from calib.joint.suspects import find_suspects
+from calib.joint.uncertainty import microphone_covariances, microphone_rms_m, shared_covariance
+from calib.joint.unknowns import Unknowns
+from rigs.geometry import Pose
+from rigs.session.aislab_files import read_poses
+
+LEVELS_S = {1: 66.6e-6, 2: 333e-6, 3: 999e-6, 4: 1332e-6}
+PAPER_BUZZERS_M = np.array([(200, 0, 2), (-40, 0, 2), (200, 140, 2), (-40, 140, 2), (200, 60, 2), (-40, 60, 2)]) / 1e3
+CUBE_M = 0.5 * np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+def rms_m(errors_m: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors_m**2, axis=1))))
+
+
+def simulated_rig(seeds: int) -> None:
+    print(f"Simulated rig at the level of corners and arrivals, {seeds} seeds, mm")
+    print(f"{'':40}{'bound':>8}{'rmse':>8}{'ratio':>8}{'median':>8}{'largest':>9}{'95 % hold':>11}{'speed':>9}")
+    cases = {
+        "25 poses, 0.25 to 1 us, 0.05 px": {},
+        "12 poses, 0.5 to 2 us, 0.05 px": {"n_poses": 12, "arrival_std_s": 1e-6},
+    }
+    for name, case in cases.items():
+        errors, bounds, held, times_s = [], [], [], []
+        for seed in range(seeds):
+            rig = make_rig(seed, **case)
+            start_s = time.perf_counter()
+            solution = rig.solved()
+            covariance = shared_covariance(solution.problem, solution.at, solution.weights())
+            times_s.append(time.perf_counter() - start_s)
+            errors.append(rms_m(rig.errors_m(solution)))
+            bounds.append(microphone_rms_m(rig.bound(), 8))
+            ellipsoids = microphone_covariances(covariance, 8)
+            pulls = [error @ np.linalg.solve(matrix, error) for error, matrix in
+                     zip(rig.errors_m(solution), ellipsoids, strict=True)]  # fmt: skip
+            held.append(np.mean(np.array(pulls) < chi2.ppf(0.95, 3)))
+        rmse, bound = np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(np.square(bounds)))
+        print(f"{name:40}{1e3 * bound:8.3f}{1e3 * rmse:8.3f}{rmse / bound:8.3f}{1e3 * np.median(errors):8.3f}"
+              f"{1e3 * max(errors):9.3f}{100 * np.mean(held):10.1f}%{1e3 * np.median(times_s):6.0f} ms")  # fmt: skip
+
+
+def outliers(seeds: int) -> None:
+    print(f"\nGross outliers among the arrivals, {seeds} seeds: rmse over that without")
+    clean = [rms_m(rig.errors_m(rig.solved())) for rig in map(make_rig, range(seeds))]
+    for share in (0.1, 0.3):
+        worse = [make_rig(seed).with_outliers(share, seed) for seed in range(seeds)]
+        errors = [rms_m(rig.errors_m(rig.solved())) for rig in worse]
+        ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(clean)))
+        print(f"{share:>8.0%}{ratio:8.3f}")
+
+
+def wrong_buzzer(rig: Rig, generator: np.random.Generator) -> tuple[Rig, list[tuple[str, int]]]:
+    board, number = rig.description.board, int(generator.integers(6))
+    direction = generator.standard_normal(3)
+    place_m = np.array(board.buzzers[number].position_m) + 0.02 * direction / np.linalg.norm(direction)
+    buzzers = list(board.buzzers)
+    buzzers[number] = buzzers[number].model_copy(update={"position_m": tuple(place_m)})
+    return with_board(rig, buzzers=tuple(buzzers)), [("buzzer", number)]
+
+
+def late_channel(rig: Rig, generator: np.random.Generator) -> tuple[Rig, list[tuple[str, int]]]:
+    number = int(generator.integers(8))
+    return replace(rig, arrival_s=rig.arrival_s + 2e-4 * (np.arange(8) == number)), [("delay", number)]
+
+
+def wrong_squares(rig: Rig, generator: np.random.Generator) -> tuple[Rig, list[tuple[str, int]]]:
+    size_m = rig.description.board.square_size_m * float(generator.choice([0.95, 1.05]))
+    return with_board(rig, square_size_m=size_m), [("scale", 0)]
+
+
+def with_board(rig: Rig, **changes) -> Rig:
+    board = rig.description.board.model_copy(update=changes)
+    return replace(rig, description=rig.description.model_copy(update={"board": board}))
+
+
+def faults(seeds: int) -> None:
+    print(f"\nFaults found and named, and nothing else, of {seeds} seeds; median rmse in mm")
+    kinds: dict[str, Callable] = {
+        "none": lambda rig, _: (rig, []),
+        "a buzzer off by 20 mm": wrong_buzzer,
+        "a channel late by 0.2 ms": late_channel,
+        "squares off by 5 %": wrong_squares,
+    }
+    for name, spoil in kinds.items():
+        found, errors = 0, []
+        for seed in range(seeds):
+            rig, expected = spoil(make_rig(seed), np.random.default_rng([seed, 2]))
+            solution, suspects = find_suspects(rig.solved())
+            found += [(suspect.kind, suspect.number) for suspect in suspects] == expected
+            errors.append(rms_m(rig.errors_m(solution)))
+        print(f"{name:30}{found:6}{1e3 * np.median(errors):10.3f}")
+
+
+def paper_problem(poses: list[Pose]) -> tuple[JointProblem, Unknowns]:
+    """Return the paper's simulation without noise: only the microphones are unknown."""
+    truth = Unknowns.of(CUBE_M, 340.0, PAPER_BUZZERS_M, np.zeros(9), poses)
+    std = np.zeros(truth.blocks.size)
+    std[truth.blocks.microphones] = np.inf
+    pose, buzzer = np.repeat(np.arange(len(poses)), 6), np.tile(np.arange(6), len(poses))
+    table = ArrivalTable(pose, buzzer, np.zeros((len(pose), 8)), np.ones((len(pose), 8)))
+    table = replace(table, arrival_s=table.flights(truth).times_s)
+    return JointProblem(table, None, Priors(truth.shared, std, poses_held=True)), truth
+
+
+def paper_simulation(rounds: int) -> None:
+    if AISLAB.is_dir():
+        poses = read_poses(AISLAB)
+    else:
+        print("\n(the published poses are not here: random ones instead)")
+        poses = board_poses(69, 0)
+    ideal, truth = paper_problem(poses)
+    print(f"\nThe paper's simulation, Gaussian noise, no first guess, {rounds} rounds, mm")
+    print(f"{'level':>8}{'bound':>9}{'rmse':>12}{'ratio':>9}{'median':>9}{'global':>9}{'divergent':>11}{'speed':>9}")
+    for level, sigma_s in LEVELS_S.items():
+        arrival_std_s = sigma_s / np.sqrt(2)
+        table = replace(ideal.arrivals, std_s=np.full_like(ideal.arrivals.std_s, arrival_std_s))
+        errors, n_global, times_s = [], 0, []
+        for number in range(rounds):
+            noise_s = arrival_std_s * np.random.default_rng([number, level]).standard_normal(table.arrival_s.shape)
+            problem = replace(ideal, arrivals=replace(table, arrival_s=table.arrival_s + noise_s))
+            start_s = time.perf_counter()
+            start = find_start(problem, truth.placed(np.zeros((8, 3))), 0).at.microphones_m
+            ranges = range_table(problem, truth)
+            found = descend_together(ranges, start[None], least_squares=80, robust=0)
+            times_s.append(time.perf_counter() - start_s)
+            best = descend_together(ranges, CUBE_M[None], least_squares=80, robust=0)
+            n_global += bool(np.sum(found.residuals**2) <= np.sum(best.residuals**2) * (1 + 1e-6))
+            errors.append(rms_m(found.places_m[0] - CUBE_M))
+        information = replace(ideal, arrivals=table).free_equations(
+            truth, replace(ideal, arrivals=table).stated_weights()
+        )
+        bound_m = float(np.sqrt(np.trace(np.linalg.inv(information.shared)) / 8))
+        rmse_m, divergent = float(np.sqrt(np.mean(np.square(errors)))), float(np.mean(np.array(errors) > 2.0))
+        print(f"{level:8}{1e3 * bound_m:9.1f}{1e3 * rmse_m:12.1f}{rmse_m / bound_m:9.3f}{1e3 * np.median(errors):9.1f}"
+              f"{n_global:9}{divergent:11.1%}{1e3 * np.median(times_s):6.0f} ms")  # fmt: skip
+
+
+def timed_ms(action: Callable[[], object], repeats: int = 5) -> float:
+    times_s = []
+    for _ in range(repeats):
+        start_s = time.perf_counter()
+        action()
+        times_s.append(time.perf_counter() - start_s)
+    return 1e3 * float(np.min(times_s))
+
+
+def speed() -> None:
+    print("\nSpeed, 69 poses, 414 emissions, 8 microphones (one run; ratios count)")
+    ideal, truth = paper_problem(board_poses(69, 0))
+    table = range_table(ideal, truth)
+    noisy = table.ranges_m + 0.005 * np.random.default_rng(0).standard_normal(table.ranges_m.shape)
+    table = RangeTable(table.sources_m, noisy, np.ones_like(noisy))
+    start_m = CUBE_M + 0.05
+
+    first, second = np.triu_indices(8, k=1)
+
+    def residuals(places: np.ndarray) -> np.ndarray:
+        offsets = table.offsets_m(places.reshape(1, 8, 3))[0][0]
+        return (offsets[:, second] - offsets[:, first]).ravel()
+
+    scipy_ms = timed_ms(lambda: least_squares(residuals, start_m.ravel()))
+    ours_ms = timed_ms(lambda: descend_together(table, start_m[None], least_squares=30, robust=0))
+    print(
+        f"paper's problem: scipy least_squares {scipy_ms:.1f} ms, ours {ours_ms:.1f} ms, {scipy_ms / ours_ms:.0f} times"
+    )
+    rig = make_rig(0, n_poses=69)
+    problem, guess = rig.assembled()
+    start_ms = timed_ms(lambda: find_start(problem, guess, 0), 3)
+    start = find_start(problem, guess, 0).at
+    solve_ms = timed_ms(lambda: solve_robustly(problem, start), 3)
+    solution = solve_robustly(problem, start)
+    suspects_ms = timed_ms(lambda: find_suspects(solution), 3)
+    print(f"full joint problem: start {start_ms:.0f} ms, robust solve {solve_ms:.0f} ms, suspects {suspects_ms:.0f} ms")
+    print("time per iteration of the full problem with 64 microphones")
+    for n_poses in (125, 250, 500, 1000, 2000):
+        print(f"{n_poses:8} poses {iteration_ms(n_poses):9.0f} ms, {iteration_ms(n_poses) / n_poses:6.2f} ms per pose")
+
+
+def iteration_ms(n_poses: int) -> float:
+    """Return the time of one linearisation and step with 64 microphones."""
+    microphones_m = np.random.default_rng(0).uniform(-0.3, 0.3, (64, 3))
+    rig = make_rig(0, n_poses=n_poses, microphones_m=microphones_m)
+    pose, buzzer = np.repeat(np.arange(n_poses), len(BUZZERS_M)), np.tile(np.arange(len(BUZZERS_M)), n_poses)
+    small, _ = make_rig(0, n_poses=6).assembled()
+    std = np.full(rig.truth.blocks.size, np.inf)
+    std[rig.truth.blocks.delays], std[rig.truth.blocks.speed], std[rig.truth.blocks.buzzers] = 0.0, 0.6, 1e-4
+    std[rig.truth.blocks.scale] = 2e-4
+    corners = replace(small.corners, seen_px=rig.corners_px)
+    problem = JointProblem(ArrivalTable(pose, buzzer, rig.arrival_s, rig.std_s), corners, Priors(rig.truth.shared, std))
+    return timed_ms(lambda: descend(problem, rig.truth, problem.stated_weights(), 1), 1) / 2
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--rounds", type=int, default=20)
+    chosen = parser.parse_args()
+    simulated_rig(chosen.seeds)
+    outliers(chosen.seeds)
+    faults(chosen.seeds)
+    paper_simulation(chosen.rounds)
+    speed()
+
+
+if __name__ == "__main__":
+    main()

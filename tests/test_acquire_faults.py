@@ -1,0 +1,171 @@
+"""What a capture does about each fault: go on, wait, or stop, with a line for the operator and a row in the log."""
+
+from collections import namedtuple
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from capturing import captured, small_rig, with_fault
+
+from acquire import capture as capture_module
+from acquire.errors import DeviceError, DiskShortError, InterruptedCaptureError
+from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
+from rigs.session.reader import Session
+
+Usage = namedtuple("Usage", "total used free")
+
+
+def log_lines(session):
+    return "\n".join(text.decode() for text in session.log["text"])
+
+
+def gaps(session):
+    return np.flatnonzero(session.audio_blocks["flags"] & (FLAG_GAP | FLAG_OVERFLOW))
+
+
+def median_late_s(session):
+    """Return how late (s) each accepted emission is in the sound against its expected sample."""
+    onsets = session.onsets[session.emissions["accepted"] == 1]
+    return (onsets["measured_sample"] - onsets["predicted_sample"]) / session.sample_rate_hz
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("trigger_lost", "the trigger board"), ("camera_lost", "the camera"), ("audio_lost", "the sound device")],
+)
+def test_a_device_that_comes_back_costs_the_pose_under_way_and_nothing_else(tmp_path, kind, name):
+    found = small_rig(simulation={"faults": [{"kind": kind, "pose": 1, "duration_s": 8}]})
+    listener = captured(tmp_path / "s.h5", found)
+    assert f"waiting for {name}, 30 s at most" in listener.warnings()
+    assert "reconnecting" in listener.states
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.complete
+        assert session.verify() == []
+        assert f"{name} is there again (simulated-" in log_lines(session)
+        assert session.poses[["pose", "accepted"]].tolist() == [(0, 1), (1, 0), (2, 1)]
+        accepted = session.emissions[session.emissions["accepted"] == 1]
+        assert accepted[accepted["pose"] == 2]["buzzer"].tolist() == [1, 7]
+        assert len(gaps(session)) == (1 if kind == "audio_lost" else 0)
+        assert ("the sound device was gone" in listener.warnings()) == (kind == "audio_lost")
+        assert np.nanmax(np.abs(median_late_s(session))) < 0.01
+        stamps_s = session.audio_blocks["host_time_s"]
+        assert (np.diff(stamps_s).max() > 8) == (kind == "audio_lost")
+
+
+@pytest.mark.parametrize("kind", ["trigger_lost", "camera_lost", "audio_lost"])
+def test_a_device_that_does_not_come_back_ends_the_session_and_names_resume(tmp_path, kind):
+    found = small_rig(
+        capture={"device_wait_s": 3}, simulation={"faults": [{"kind": kind, "pose": 1, "duration_s": 100}]}
+    )
+    with pytest.raises(
+        DeviceError,
+        match=r"^the .* did not come back within 3 s, go on with --resume when it is there: .*; 1 pose saved",
+    ) as end:
+        captured(tmp_path / "s.h5", found)
+    assert type(end.value) is DeviceError
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.complete
+        assert session.poses["accepted"].tolist() == [1, 0]
+        assert "go on with --resume" in log_lines(session)
+
+
+def test_a_board_that_restarts_fires_again_within_the_pose(tmp_path):
+    listener = captured(tmp_path / "s.h5", with_fault("trigger_reset", pose=1))
+    assert "the simulated board restarted: check its cable and its power" in listener.warnings()
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.poses["accepted"].tolist() == [1, 1]
+        assert session.emissions["accepted"].tolist() == [1, 1, 0, 1, 1]
+        assert session.emissions[session.emissions["accepted"] == 1]["buzzer"].tolist() == [1, 7, 1, 7]
+        assert np.diff(session.pings["board_time_s"]).min() < 0  # its clock began anew
+        assert np.abs(median_late_s(session)).max() < 0.005
+
+
+def test_a_device_that_is_lost_again_and_again_is_given_up(tmp_path):
+    found = small_rig()
+    rig = capture_module.choose_devices(found.description)
+
+    class LooseContact:
+        def __getattr__(self, name):
+            return getattr(rig.trigger, name)
+
+        def play(self, buzzer, waveform):
+            raise DeviceError("trigger board: no answer")
+
+    monkeyed = replace(rig, trigger=LooseContact())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(capture_module, "choose_devices", lambda *_, **__: monkeyed)
+        with pytest.raises(
+            DeviceError, match="devices were lost 6 times without a good pose in between; 0 poses saved"
+        ):
+            captured(tmp_path / "s.h5", found)
+
+
+def test_a_frozen_camera_is_opened_again_and_the_pose_repeated(tmp_path):
+    listener = captured(tmp_path / "s.h5", with_fault("camera_frozen", pose=1))
+    assert "camera: the simulated camera is frozen: take the cap off its lens" in listener.warnings()
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.poses["accepted"].tolist() == [1, 0, 1]
+        assert (np.diff(session.frames["host_time_s"]) > 0).all()
+
+
+def test_samples_lost_without_a_word_flag_a_gap_and_fire_again(tmp_path):
+    listener = captured(tmp_path / "s.h5", with_fault("clock_jump", pose=1))
+    assert listener.warnings().count("the clock says audio was lost before") == 1
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.audio_blocks["flags"][gaps(session)].tolist() == [FLAG_GAP]
+        assert np.diff(session.audio_blocks["host_time_s"]).max() > 0.25
+        assert session.poses["accepted"].tolist() == [1, 1]
+        assert session.emissions["expected_sample"][session.emissions["accepted"] == 0].tolist() == [-1]
+        assert np.abs(median_late_s(session)).max() < 0.005
+
+
+def test_a_wish_to_stop_is_heard_while_a_device_is_waited_for(tmp_path):
+    listener = None
+    found = small_rig(simulation={"faults": [{"kind": "audio_lost", "pose": 1, "duration_s": 100}]})
+    path = tmp_path / "s.h5"
+    asked = []
+
+    def stop_wanted():
+        asked.append(path.exists() and b"waiting for the sound device" in path.read_bytes())
+        return asked[-1]
+
+    with pytest.raises(InterruptedCaptureError, match="1 pose saved"):
+        listener = captured(path, found, stop_wanted=stop_wanted)
+    assert listener is None
+    with Session.open(path) as session:
+        assert session.complete
+
+
+def test_a_disk_that_runs_short_ends_the_session_well(tmp_path, monkeypatch):
+    free = iter([10**12] * 5)
+    monkeypatch.setattr("acquire.disk.shutil.disk_usage", lambda _: Usage(0, 0, next(free, 70_000_000)))
+    with pytest.raises(
+        DiskShortError, match=r"the disk is nearly full \(70 MB left\): free some space .* saved in"
+    ) as end:
+        captured(tmp_path / "s.h5")
+    assert end.value.exit_code == 3
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.complete
+        assert session.verify() == []
+        assert session.n_samples > 48000
+        assert "the disk is nearly full" in log_lines(session)
+
+
+def test_a_disk_that_is_short_already_is_refused_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("acquire.disk.shutil.disk_usage", lambda _: Usage(0, 0, 70_000_000))
+    with pytest.raises(DiskShortError, match="70 MB left"):
+        captured(tmp_path / "s.h5", with_fault("dead_channel", channel=99))
+    assert not (tmp_path / "s.h5").exists()
+
+
+def test_a_session_that_may_not_fit_is_warned_of(tmp_path, monkeypatch):
+    found = small_rig(audio={"sample_rate_hz": 96000}, capture={"poses": 400})
+    monkeypatch.setattr("acquire.disk.shutil.disk_usage", lambda _: Usage(0, 0, 9_000_000_000))
+    listener = captured(tmp_path / "s.h5", found, poses=1)
+    assert not listener.warnings()
+    asked = iter([False] * 3)
+    with pytest.raises(InterruptedCaptureError):
+        listener = captured(tmp_path / "t.h5", found, stop_wanted=lambda: next(asked, True))
+    with Session.open(tmp_path / "t.h5") as session:
+        assert "this session may take 2" in log_lines(session)
+        assert " GB, the disk has room for 8.9 GB: free some space or choose another disk" in log_lines(session)
