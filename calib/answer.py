@@ -28,6 +28,8 @@ class Answer:
     residual : Residual
     warnings : list of str
     held_out : HeldOut or None
+    suggestions : list of str
+        Further board positions that would help most, the best first.
     """
 
     microphones_m: FloatArray
@@ -38,3 +40,4 @@ class Answer:
     residual: Residual
     warnings: list[str] = field(default_factory=list)
     held_out: HeldOut | None = None
+    suggestions: list[str] = field(default_factory=list)

@@ -55,6 +55,13 @@ BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
     help="Joint holds this at what the rig description, or a fit to the corners alone, says (may be repeated).",
 )
 @click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
+@click.option(
+    "--suggest-poses",
+    type=click.IntRange(0, 50),
+    default=0,
+    metavar="N",
+    help="Say which N board positions would help most.",
+)
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
     session: Path,
@@ -68,6 +75,7 @@ def command(
     exclude_channel: tuple[int, ...],
     hold: tuple[str, ...],
     find_delays: bool,
+    suggest_poses: int,
 ) -> None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
@@ -89,7 +97,7 @@ def command(
     target = output or session.with_suffix(".calib.yaml")
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
-        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays)
+        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)

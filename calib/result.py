@@ -79,6 +79,8 @@ class Calibration:
         What was heard and what was wrong with it, in plain values; None where TDOAs were not measured in sound.
     held_out : HeldOut or None
         None for the paper's methods.
+    suggestions : tuple of str
+        Further board positions that would help most, the best first.
     """
 
     session_name: str
@@ -95,6 +97,7 @@ class Calibration:
     warnings: list[str]
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
+    suggestions: tuple[str, ...] = ()
 
     @property
     def std_m(self) -> FloatArray:
@@ -143,6 +146,8 @@ def as_document(result: Calibration) -> dict[str, Any]:
     }
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
+    if result.suggestions:
+        document["suggested_poses"] = list(result.suggestions)
     if result.sound is not None:
         document["sound"] = result.sound
     if result.evaluation is not None:

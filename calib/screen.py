@@ -28,6 +28,8 @@ def show(result: Calibration, path: Path, console: Console) -> None:
         console.print()
     for warning in result.warnings:
         console.print(_warning(warning))
+    for number, suggestion in enumerate(result.suggestions, start=1):
+        console.print(f"next pose {number}: {escape(suggestion)}")
     console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
 
 

@@ -29,6 +29,8 @@ class Settings:
         Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "intrinsics", "poses".
     find_delays : bool
         Joint finds a delay of each channel.
+    suggest_poses : int
+        How many further board positions joint suggests.
     """
 
     method: Method = "joint"
@@ -38,3 +40,4 @@ class Settings:
     tdoa: TdoaMode = "auto"
     hold: tuple[str, ...] = ()
     find_delays: bool = False
+    suggest_poses: int = 0

@@ -18,10 +18,13 @@ CORRELATED = 0.5
 
 
 def board_tilts_deg(rotations: FloatArray) -> tuple[float, float]:
-    """Return how widely board normals spread (standard deviations) about their two axes, the wider first."""
+    """Return how widely boards are tilted (root mean square) about the axis of most and of least tilt.
+
+    Normals of boards that are tilted about one axis only lie on a great circle; the least tilt is that out of it.
+    """
     normals = rotations[:, :, 2]
-    spread = np.linalg.svd(normals - normals.mean(axis=0), compute_uv=False) / np.sqrt(len(normals))
-    return float(np.degrees(spread[0])), float(np.degrees(spread[1]))
+    _, most, least = np.linalg.svd(normals, compute_uv=False) / np.sqrt(len(normals))
+    return float(np.degrees(most)), float(np.degrees(least))
 
 
 def observability_doubts(

@@ -15,6 +15,7 @@ from calib.emissions import EmissionTdoas
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
 from calib.joint.heldout import hold_out
+from calib.joint.next_pose import suggest_poses
 from calib.joint.observability import observability_doubts
 from calib.joint.pairs import arrivals_that_agree
 from calib.joint.robust import JointSolution, solve_robustly
@@ -70,6 +71,7 @@ def answer_jointly(
             *observability_doubts(solution, covariance, description.camera, channels),
         ],
         held_out=hold_out(solution, chosen),
+        suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
     )
 
 
@@ -83,6 +85,13 @@ def refined_view(view: View, solution: JointSolution) -> View:
     poses = [Pose(rotation, place) for rotation, place in zip(at.rotations, at.translations_m, strict=True)]
     rms_px = float(np.sqrt(np.nanmean(np.sum(corners.residuals_px(at) ** 2, axis=2))))
     return View(intrinsics, view.source, view.pose, poses, rms_px)
+
+
+def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[str]:
+    if not n_poses:
+        return []
+    now_m, suggestions = suggest_poses(solution, description.camera.size_px, n_mics, n_poses)
+    return [f"{suggestion.sentence()} (now {1e3 * now_m:.2f} mm)" for suggestion in suggestions]
 
 
 def _with_pairs_that_fit(solution: JointSolution, chosen: PairTdoas) -> JointSolution:

@@ -1,0 +1,111 @@
+"""What the joint method says of a session: held-out poses, what it can hardly tell, which pose to capture next."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured_rig import CHANNELS, Rig, make_rig
+
+from calib.joint.assemble import pair_tdoas
+from calib.joint.heldout import hold_out
+from calib.joint.next_pose import suggest_poses
+from calib.joint.observability import board_tilts_deg, observability_doubts
+from calib.joint.session import answer_jointly
+from calib.joint.uncertainty import microphone_covariances, shared_covariance
+from calib.settings import Settings
+from rigs.geometry import Pose, rotation_matrix
+
+SIZE_PX = (1280, 720)
+
+
+def facing_poses(n_poses: int) -> list[Pose]:
+    """Boards that all face the camera, nearly: tilted about y only."""
+    generator = np.random.default_rng(0)
+    poses = []
+    for _ in range(n_poses):
+        rotation = rotation_matrix(np.array([0.0, generator.uniform(-0.6, 0.6), 0.0]))
+        depth_m = generator.uniform(0.5, 0.9)
+        centre_m = depth_m * np.append(generator.uniform(-0.2, 0.2, 2), 1.0)
+        poses.append(Pose(rotation, centre_m - rotation @ np.array([0.1, 0.0625, 0.0])))
+    return poses
+
+
+def worst_std_m(covariance: np.ndarray) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(microphone_covariances(covariance, 8))[:, -1].max()))
+
+
+def answered(rig: Rig, **settings):
+    return answer_jointly(rig.description, rig.view(), rig.corners, rig.tdoas, CHANNELS, Settings(**settings))
+
+
+def test_held_out_poses_scatter_like_the_noise():
+    rig = make_rig(0)
+    solution = rig.solved()
+    checked = hold_out(solution, pair_tdoas(rig.view(), rig.tdoas, CHANNELS))
+    expected_s = np.sqrt(2) * np.median(rig.std_s)
+    assert 0.8 * expected_s < checked.robust_sigma_s < 2 * expected_s  # corners place the board no better
+    assert checked.median_s == pytest.approx(checked.robust_sigma_s / 1.4826)
+    covariance = shared_covariance(solution.problem, solution.at, solution.weights())
+    assert checked.spread_m < 2 * np.sqrt(np.trace(covariance[:24, :24]) / 8)
+
+
+def test_held_out_sound_takes_no_part():
+    """Spoilt sound of a pose changes what is said of it, not the prediction."""
+    rig = make_rig(1)
+    plain = rig.solved()
+    tdoas = pair_tdoas(rig.view(), rig.tdoas, CHANNELS)
+    shifted = replace(tdoas, tdoa_s=tdoas.tdoa_s + 1e-3)
+    assert hold_out(plain, shifted).median_s == pytest.approx(1e-3, rel=0.05)
+
+
+def test_boards_tilted_one_way_only_are_told():
+    rig = make_rig(0, poses=facing_poses(15))
+    answer = answered(rig)
+    assert board_tilts_deg(np.array([pose.rotation for pose in facing_poses(15)]))[1] < 1
+    assert any("about one axis differ by 0." in warning for warning in answer.warnings)
+    assert not any("about one axis" in warning for warning in answered(make_rig(0)).warnings)
+
+
+def test_a_focal_length_that_does_not_fit_is_told():
+    rig = make_rig(0)
+    wrong = {"focal_px": (850.0, 848.0), "principal_px": (645.0, 356.0), "distortion": (0.05, -0.08, 0.0, 0.0, 0.0)}
+    camera = rig.description.camera.model_copy(update={"intrinsics": type(rig.view().intrinsics).model_validate(wrong)})
+    answer = answered(replace(rig, description=rig.description.model_copy(update={"camera": camera})))
+    assert any("the focal length came out at 94" in warning for warning in answer.warnings)
+
+
+def test_the_worst_motion_is_named():
+    rig = make_rig(0, n_poses=8, arrival_std_s=2e-5)
+    solution = rig.solved()
+    covariance = shared_covariance(solution.problem, solution.at, solution.weights())
+    doubts = observability_doubts(solution, covariance, rig.description.camera, CHANNELS)
+    assert any(doubt.startswith("the array is known worst in its") for doubt in doubts)
+
+
+def test_the_next_pose_helps_as_much_as_is_said():
+    poses = facing_poses(12)
+    rig = make_rig(0, poses=poses)
+    solution = rig.solved()
+    now_m, (first, second) = suggest_poses(solution, SIZE_PX, 8, 2)
+    covariance = shared_covariance(solution.problem, solution.at, solution.weights())
+    assert now_m == pytest.approx(worst_std_m(covariance), rel=1e-6)
+    assert second.worst_std_m < first.worst_std_m < now_m
+    assert first.tilt_deg != (0.0, 0.0)
+    rotation = rotation_matrix(np.radians([*first.tilt_deg, 0.0]))
+    added = Pose(rotation, first.centre_m - rotation @ np.array([0.1, 0.0625, 0.0]))
+    assert worst_std_m(make_rig(0, poses=[*poses, added]).bound()) == pytest.approx(first.worst_std_m, rel=0.15)
+
+
+def test_suggestions_are_sentences():
+    answer = answered(make_rig(0), suggest_poses=2)
+    assert len(answer.suggestions) == 2
+    assert all("board centre at x" in suggestion for suggestion in answer.suggestions)
+
+
+def test_suspects_are_told_in_words():
+    rig = make_rig(0)
+    late = replace(rig, arrival_s=rig.arrival_s + 2e-4 * (np.arange(8) == 4))
+    assert any(warning.startswith("channel 5 is 0.200 ms late") for warning in answered(late).warnings)
+    board = rig.description.board.model_copy(update={"square_size_m": 0.025 * 1.05})
+    bigger = replace(rig, description=rig.description.model_copy(update={"board": board}))
+    assert any("was the board printed to scale?" in warning for warning in answered(bigger).warnings)
