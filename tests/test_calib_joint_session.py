@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import MICROPHONES_M
 from measured_rig import CHANNELS, Rig, make_rig
 
+from calib.errors import NotEnoughDataError
 from calib.joint.assemble import pair_tdoas
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import suggest_poses
@@ -109,3 +111,19 @@ def test_suspects_are_told_in_words():
     board = rig.description.board.model_copy(update={"square_size_m": 0.025 * 1.05})
     bigger = replace(rig, description=rig.description.model_copy(update={"board": board}))
     assert any("was the board printed to scale?" in warning for warning in answered(bigger).warnings)
+
+
+def test_boards_that_all_face_the_camera_are_refused():
+    """Focal length and depth are one: an answer would be confident and wrong."""
+    places = [(x - 0.1, y - 0.06, 0.6) for x in (-0.2, 0.0, 0.2) for y in (-0.1, 0.0, 0.1)]
+    flat = make_rig(0, poses=[Pose(np.eye(3), np.array(place)) for place in places])
+    with pytest.raises(NotEnoughDataError, match="does not place the microphones"):
+        answered(flat)
+
+
+def test_an_array_in_a_plane_is_found():
+    rig = make_rig(0, microphones_m=MICROPHONES_M * (1, 1, 0))
+    answer = answered(rig)
+    errors_m = answer.microphones_m - rig.truth.microphones_m
+    assert np.sqrt(np.mean(np.sum(errors_m**2, axis=1))) < 0.002
+    assert answer.warnings == []
