@@ -165,4 +165,4 @@ def write_measured_session(
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with what takes minutes, so that no core is left with it at the end."""
-    items.sort(key=lambda item: item.path.stem not in LONGEST_FIRST)
+    items.sort(key=lambda item: [item.path.stem != each for each in LONGEST_FIRST])
