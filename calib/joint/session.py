@@ -23,6 +23,7 @@ from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
+from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_covariances, microphone_rms_m, shared_covariance
 from calib.settings import Settings
 from rigs.description import Intrinsics, RigDescription
@@ -35,6 +36,7 @@ MAX_STD_M = 0.05  # of the microphones, root mean square: more is no answer
 MAX_REACH_M = 10.0  # a microphone further off is a fit at infinity
 
 
+@on_one_thread
 def answer_jointly(
     description: RigDescription,
     view: View,
