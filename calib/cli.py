@@ -52,7 +52,14 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     "--hold",
     type=click.Choice(BLOCKS),
     multiple=True,
-    help="Joint holds this at what the rig description, or a fit to the corners alone, says (may be repeated).",
+    help="Joint holds this at what the rig description, or a fit to the corners alone, says, and takes it to be as "
+    "uncertain as that is (may be repeated).",
+)
+@click.option(
+    "--exact",
+    type=click.Choice(BLOCKS),
+    multiple=True,
+    help="Like --hold, but taken to be without any error: only if you know it to be (may be repeated).",
 )
 @click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
 @click.option(
@@ -74,6 +81,7 @@ def command(
     reference: int | None,
     exclude_channel: tuple[int, ...],
     hold: tuple[str, ...],
+    exact: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
 ) -> None:
@@ -97,7 +105,7 @@ def command(
     target = output or session.with_suffix(".calib.yaml")
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
-        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
+        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, exact)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)

@@ -69,7 +69,7 @@ class Calibration:
         Camera frame.
     covariance_m2 : (n_mics, 3, 3) array
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
-        Where the method holds the speed, the standard deviation is the rig description's.
+        Where the speed is held, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
     residual : Residual
@@ -81,6 +81,8 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of str
         Further board positions that would help most, the best first.
+    held : tuple of str
+        Blocks of unknowns that the method was told to hold.
     """
 
     session_name: str
@@ -98,6 +100,7 @@ class Calibration:
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
     suggestions: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
     @property
     def std_m(self) -> FloatArray:
@@ -146,6 +149,8 @@ def as_document(result: Calibration) -> dict[str, Any]:
     }
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
+    if result.held:
+        document["held"] = list(result.held)
     if result.suggestions:
         document["suggested_poses"] = list(result.suggestions)
     if result.sound is not None:

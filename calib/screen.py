@@ -55,7 +55,7 @@ def _microphone_table(result: Calibration) -> Table:
 def _fit_table(result: Calibration) -> Table:
     residual, view = result.residual, result.view
     speed = f"{result.speed_of_sound_m_s:.2f} m/s"
-    held = result.method != "joint"
+    held = result.method != "joint" or "speed" in result.held
     speed += (
         f" held, known to +- {result.speed_of_sound_std_m_s:.2f}"
         if held
@@ -70,7 +70,7 @@ def _fit_table(result: Calibration) -> Table:
     focal = ", ".join(f"{value:.1f}" for value in view.intrinsics.focal_px)
     return _pairs_table(
         [
-            ("method", result.method),
+            ("method", result.method + (f", {', '.join(result.held)} held" if result.held else "")),
             (
                 "TDOA residual",
                 f"{1e6 * residual.robust_sigma_s:.2f} us robust sigma, {1e6 * residual.rms_s:.2f} us rms",

@@ -22,6 +22,7 @@ from calib.joint.pairs import arrivals_that_agree
 from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
+from calib.joint.strays import stray_doubts
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
 from calib.joint.threads import on_one_thread
@@ -51,9 +52,8 @@ def answer_jointly(
     ------
     NotEnoughDataError, NotConvergedError
     """
-    problem, guess = assemble(
-        description, view, corners, tdoas, channels, hold=settings.hold, find_delays=settings.find_delays
-    )
+    measured = description, view, corners, tdoas, channels
+    problem, guess = assemble(*measured, hold=settings.hold, exact=settings.exact, find_delays=settings.find_delays)
     start = find_start(problem, guess, settings.seed)
     solution, suspects = find_suspects(solve_robustly(problem, start.at))
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
@@ -65,7 +65,9 @@ def answer_jointly(
     if microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
         solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
     fitted = _fitted_tdoas(solution, chosen)
-    at = solution.at
+    at, strays = solution.at, []
+    if settings.holds:
+        strays = stray_doubts(solution, assemble(*measured, find_delays=settings.find_delays)[0])
     return Answer(
         microphones_m=at.microphones_m[: len(channels)],
         covariance_m2=microphone_covariances(covariance, len(channels)),
@@ -75,6 +77,7 @@ def answer_jointly(
         residual=fitted.residual(),
         warnings=[
             *_rival_doubts(start.at.microphones_m, start.rival_m, channels),
+            *strays,
             *suspect_doubts(suspects, solution, description, channels),
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
@@ -99,7 +102,8 @@ def refined_view(view: View, solution: JointSolution) -> View:
 def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[str]:
     if not n_poses:
         return []
-    now_m, suggestions = suggest_poses(solution, description.camera.size_px, n_mics, n_poses)
+    problem = replace(solution.problem, priors=replace(solution.problem.priors, held=False))
+    now_m, suggestions = suggest_poses(replace(solution, problem=problem), description.camera.size_px, n_mics, n_poses)
     return [f"{suggestion.sentence()} (now {1e3 * now_m:.2f} mm)" for suggestion in suggestions]
 
 
