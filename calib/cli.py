@@ -102,8 +102,8 @@ def command(
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return
-    target = output or session.with_suffix(".calib.yaml")
     with Session.open(session) as opened, console.status("opening") as status:
+        target = output or session.with_suffix(".calib.yaml")
         check_result_target(target, overwrite=overwrite)
         settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, exact)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))

@@ -65,7 +65,8 @@ def run(name: str, command: click.Command, arguments: Sequence[str] | None = Non
 def _explained(error: Exception) -> tuple[str, int]:
     exit_code = getattr(error, "exit_code", None)
     if isinstance(exit_code, int):
-        return str(error), exit_code
+        remedy = getattr(error, "remedy", "")
+        return f"{error}{': ' + remedy if remedy else ''}", exit_code
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         remedy = _REMEDIES.get(error.errno or 0)

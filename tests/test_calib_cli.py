@@ -152,6 +152,18 @@ def test_bad_files_are_refused(tmp_path, session, capsys, content, reason):
     assert not list(tmp_path.glob("bad.calib.yaml"))
 
 
+def test_a_folder_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert refused(capsys, ".") == (5, "rig-calibrate: .: not a file: name a session file, such as s1.h5")
+
+
+def test_a_damaged_file_is_refused_with_a_remedy(session, capsys):
+    session.write_bytes(session.read_bytes()[:-2000])
+    exit_code, error = refused(capsys, session)
+    assert exit_code == 5
+    assert error.endswith("`rig-session recover FILE -o NEW.h5` copies what is good")
+
+
 def test_foreign_hdf5_is_refused(tmp_path, capsys):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = [1, 2, 3]
