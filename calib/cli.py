@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rigs.command import run
+from rigs.target import session_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,7 +21,7 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=click.Path(path_type=Path), callback=session_file)
 @click.option(
     "--method",
     type=click.Choice(METHODS),

@@ -60,6 +60,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
         held=settings.holds,
+        n_accepted_poses=int(np.count_nonzero(session.poses["accepted"])),
         sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
         warnings=[
             *session_doubts(session),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.camera import View
 from calib.evaluation import Evaluation
 from rigs import __version__
-from rigs.errors import TargetExistsError
+from rigs.errors import TargetError, TargetExistsError, reason
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
 from rigs.target import check_target
 
@@ -81,6 +81,8 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of str
         Further board positions that would help most, the best first.
+    n_accepted_poses : int
+        Of the session; those that could not be used are among the warnings.
     held : tuple of str
         Blocks of unknowns that the method was told to hold.
     """
@@ -101,6 +103,7 @@ class Calibration:
     held_out: HeldOut | None = None
     suggestions: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
+    n_accepted_poses: int = 0
 
     @property
     def std_m(self) -> FloatArray:
@@ -143,6 +146,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "distortion": _rounded(result.view.intrinsics.distortion, 8),
             "corner_rms_px": _rounded(result.view.rms_px, 4),
             "n_poses": len(result.view.board_to_camera),
+            "n_accepted_poses": result.n_accepted_poses,
         },
         "warnings": list(result.warnings),
         "session": {"name": result.session_name, "sha256": result.session_sha256},
@@ -166,13 +170,17 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
     Raises
     ------
     TargetError
-        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder.
+        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder,
+        or it cannot be written to.
     OSError
-        The folder cannot be written to.
+        The disk is full.
     """
     check_result_target(path, overwrite=overwrite)
     text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(text)

@@ -67,6 +67,9 @@ def _fit_table(result: Calibration) -> Table:
         checked = result.held_out
         words = f"{1e6 * checked.robust_sigma_s:.2f} us robust sigma, folds spread by {1e3 * checked.spread_m:.2f} mm"
         held_out = [("held-out poses", words)]
+    measured = f"; measured by {result.sound['tdoa']}" if result.sound else ""
+    n_poses, n_accepted = len(view.board_to_camera), result.n_accepted_poses
+    left_out = f" of {n_accepted} accepted" if n_accepted > n_poses else ""
     focal = ", ".join(f"{value:.1f}" for value in view.intrinsics.focal_px)
     return _pairs_table(
         [
@@ -76,10 +79,10 @@ def _fit_table(result: Calibration) -> Table:
                 f"{1e6 * residual.robust_sigma_s:.2f} us robust sigma, {1e6 * residual.rms_s:.2f} us rms",
             ),
             *held_out,
-            ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected"),
+            ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected{measured}"),
             ("speed of sound", speed),
             ("camera", f"focal length {focal} px, from the {view.source}"),
-            ("board", f"{len(view.board_to_camera)} poses, corners fit to {view.rms_px:.3f} px rms"),
+            ("board", f"{n_poses} poses{left_out}, corners fit to {view.rms_px:.3f} px rms"),
         ]
     )
 

@@ -10,6 +10,7 @@ import click
 
 from rigs.command import run
 from rigs.session.aislab_command import import_group
+from rigs.target import session_file
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -19,7 +20,7 @@ def cli() -> None:
 
 
 @cli.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("--verify", is_flag=True, help="Read everything and compare the checksums.")
 def info(file: Path, verify: bool) -> int:
     """Tell what the session FILE holds.
@@ -32,7 +33,7 @@ def info(file: Path, verify: bool) -> int:
 
 
 @cli.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Session file to make.")
 def recover(file: Path, output: Path) -> int:
     """Copy the good part of a cut-off or damaged session FILE to a new one, and tell what was kept and dropped.

@@ -78,6 +78,7 @@ class Loudspeaker:
         )  # fmt: skip
         assert self._pacat.stdin is not None
         fcntl.fcntl(self._pacat.stdin, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        self._paused_s: float | None = None
         self._reader = Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -93,8 +94,29 @@ class Loudspeaker:
             time.sleep(0.02)
         self.origin_s = origin_s
 
+    def has_ended(self) -> bool:
+        """Tell whether `pacat` was killed, or lost its server."""
+        return self._pacat.poll() is not None
+
+    def pause(self) -> None:
+        """Play nothing until `go_on`: the sink is suspended."""
+        self._paused_s = time.monotonic()
+
+    def go_on(self) -> None:
+        """Play on, later by the pause."""
+        if self._paused_s is not None:
+            self.origin_s += time.monotonic() - self._paused_s
+            self.origin.restart()
+        self._paused_s = None
+
+    def is_paused(self) -> bool:
+        """Tell whether nothing is played."""
+        return self._paused_s is not None
+
     def due(self) -> int:
         """Return how many samples should be written now."""
+        if self._paused_s is not None:
+            return 0
         return max(0, int(self.sample_at(time.monotonic() + _LEAD_S)) - self.written)
 
     def play(self, samples: NDArray[np.float32]) -> None:
