@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from scipy.fft import rfft
 
 from calib.emissions import accepted_rows
 from calib.errors import MethodError
@@ -87,7 +88,7 @@ def inspect(session: Session, number: int, mode: TdoaMode) -> View:
         windows, listener = listener_of(session, rows, waveform, wrong_labels(session, rows, waveform))
         matched = listener.filter(int(session.emissions["buzzer"][number]))
         samples = windows.read(np.array([row])).samples
-        output = np.abs(matched.filtered(samples)[0]) if matched else np.zeros_like(samples[0])
+        output = np.abs(matched.filtered(rfft(samples, axis=2))[0]) if matched else np.zeros_like(samples[0])
         centre = _centre(sound, row, windows)
         lag_ms, output = _around(output, centre, windows.sample_rate_hz)
         chosen_ms = 1e3 * (sound.arrival_s[row] - (windows.first_samples[row] + centre) / windows.sample_rate_hz)

@@ -55,7 +55,9 @@ def first_strong_peaks(
     first = places[..., 1:-1]
     first = np.take_along_axis(first, np.argmax(strong, axis=2)[..., None], axis=2)
     height = np.take_along_axis(envelopes, first, axis=2)[..., 0]
-    elsewhere = np.where(np.abs(np.arange(envelopes.shape[2]) - first) > FOOT_SAMPLES, envelopes, 0)
+    elsewhere = envelopes.copy()
+    foot = np.clip(first + np.arange(-FOOT_SAMPLES, FOOT_SAMPLES + 1), 0, envelopes.shape[2] - 1)
+    np.put_along_axis(elsewhere, foot, 0, axis=2)
     second = np.argmax(elsewhere, axis=2)
     ratio = np.take_along_axis(elsewhere, second[..., None], axis=2)[..., 0] / np.maximum(height, 1e-30)
     return first[..., 0], ratio.astype(float), (second - first[..., 0]).astype(float)
