@@ -17,6 +17,7 @@ FOOT_SAMPLES = 24
 HALF_WIDTH_SAMPLES = 24
 KAISER_BETA = 8.0
 GRID_REACH, GRID_PER_SAMPLE = 3, 32
+REACH = HALF_WIDTH_SAMPLES + GRID_REACH  # of the interpolation around a peak
 
 
 def first_strong_peaks(
@@ -86,7 +87,7 @@ def refine_peaks(
     grid, interpolation = _interpolation(reach)
     taps = np.arange(-HALF_WIDTH_SAMPLES - reach, HALF_WIDTH_SAMPLES + reach + 1)
     index = np.clip(places[..., None] + taps, 0, signals.shape[-1] - 1)
-    around = np.take_along_axis(signals, index, axis=-1).astype(float)
+    around = np.take_along_axis(signals, index, axis=-1)
     value, slope, curvature = np.split(around @ interpolation, 3, axis=-1)
     best = np.argmax(np.abs(value), axis=-1)[..., None]
     value, slope, curvature = (np.take_along_axis(of, best, axis=-1)[..., 0] for of in (value, slope, curvature))
@@ -96,13 +97,14 @@ def refine_peaks(
 
 
 @cache
-def _interpolation(reach: int) -> tuple[FloatArray, FloatArray]:
+def _interpolation(reach: int) -> tuple[FloatArray, NDArray[np.float32]]:
     """Return a grid around zero in samples, and the matrix (n_taps, 3 n_grid) for value, slope and curvature on it."""
     grid = np.arange(-reach * GRID_PER_SAMPLE, reach * GRID_PER_SAMPLE + 1) / GRID_PER_SAMPLE
     distance = grid - np.arange(-HALF_WIDTH_SAMPLES - reach, HALF_WIDTH_SAMPLES + reach + 1)[:, None]
     step = 1e-3
     here, after, before = (_kernel(distance + shift) for shift in (0.0, step, -step))
-    return grid, np.hstack([here, (after - before) / (2 * step), (after - 2 * here + before) / step**2])
+    slope, curvature = (after - before) / (2 * step), (after - 2 * here + before) / step**2
+    return grid, np.hstack([here, slope, curvature]).astype(np.float32)
 
 
 def _kernel(distance: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from calib.background import listen
 from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
-from calib.gcc import PairCorrelator, candidates_of
+from calib.gcc import PairCorrelator
 from calib.receptions import SILENT_RMS, Listener, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
@@ -141,7 +141,7 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     clipped, not_numbers = np.zeros((2, *shape), dtype=bool)
     pairs = correlator.pairs(windows.n_channels)
     for sound in windows.batches(np.arange(len(rows))):
-        found = agree(candidates_of(correlator, sound.samples), pairs, windows.n_channels)
+        found = agree(correlator.candidates(sound.samples), pairs, windows.n_channels)
         place[sound.rows], std[sound.rows], quality[sound.rows] = found.arrivals, found.std, found.quality
         loud[sound.rows] = sound.rms() > LOUD_RATIO * np.maximum(background.rms, SILENT_RMS)
         clipped[sound.rows] = sound.peak() >= session.description.capture.clip_level
