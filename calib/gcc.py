@@ -7,7 +7,7 @@ height, and neighbouring bins are summed: that keeps only lags near zero, and te
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import combinations
 
 import numpy as np
@@ -46,6 +46,10 @@ class Candidates:
     lags: FloatArray
     scores: FloatArray
     std: FloatArray
+
+    def some(self, rows: slice | NDArray[np.bool_]) -> Candidates:
+        """Return those of some windows."""
+        return Candidates(*(getattr(self, one.name)[rows] for one in fields(self)))
 
 
 class PairCorrelator:
@@ -148,22 +152,34 @@ class PairCorrelator:
         middle = correlation.shape[2] // 2
         reach = int(self._reach / self._lag_step)
         near = correlation[..., middle - reach - 1 : middle + reach + 2]
-        inner = near[..., 1:-1]
-        rises = (inner > near[..., :-2]) & (inner >= near[..., 2:])
-        heights = np.where(rises, inner, -np.inf)
-        lags, scores = np.full((2, *correlation.shape[:2], N_CANDIDATES), np.nan)
-        for number in range(N_CANDIDATES):
-            highest = np.argmax(heights, axis=2)[..., None]
-            found = np.isfinite(np.take_along_axis(heights, highest, axis=2)[..., 0])
-            np.put_along_axis(heights, highest, -np.inf, axis=2)
-            place, value = refine_peaks(correlation, highest[..., 0] + middle - reach, reach=1)
-            lags[..., number] = np.where(found, (place - middle) * self._lag_step, np.nan)
-            scores[..., number] = np.where(found, value, 0.0)
-        low = scores < MIN_SCORE * scores[..., :1]
-        return np.where(low, np.nan, lags), np.where(low, 0.0, scores)
+        places, found = _highest_peaks(near.reshape(-1, near.shape[2]))
+        places = places.reshape(*correlation.shape[:2], N_CANDIDATES) + middle - reach
+        found = found.reshape(places.shape)
+        place, value = refine_peaks(correlation[:, :, None], places, reach=1)
+        scores = np.where(found, value, 0.0)
+        found &= scores >= MIN_SCORE * scores[..., :1]
+        return np.where(found, (place - middle) * self._lag_step, np.nan), np.where(found, scores, 0.0)
 
     def _std(self, weights: NDArray[np.float32], scores: FloatArray, first: int) -> FloatArray:
         """Return the standard deviation (n, n_pairs) of the lags in samples, from how coherent pairs are as a whole."""
         angular = 2 * np.pi * self._n_summed * (first + np.arange(weights.shape[1])) / self._n_samples
         information = 2 * self._n_summed * (weights @ angular**2)[:, None] * scores**2 / (1 - scores**2)
         return np.asarray(1 / np.sqrt(np.maximum(information, 1e-30)))
+
+
+def joined(parts: list[Candidates]) -> Candidates:
+    """Put the candidates of some windows after those of others."""
+    return Candidates(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Candidates)))
+
+
+def _highest_peaks(rows: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the places (n, N_CANDIDATES) of the highest peaks of rows (n, n_lags), less one, and whether there is one."""
+    inner = rows[:, 1:-1]
+    heights = np.where((inner > rows[:, :-2]) & (inner >= rows[:, 2:]), inner, -np.inf)
+    every = np.arange(len(rows))
+    places, found = np.zeros((len(rows), N_CANDIDATES), dtype=np.intp), np.zeros((len(rows), N_CANDIDATES), dtype=bool)
+    for number in range(N_CANDIDATES):
+        highest = places[:, number] = np.argmax(heights, axis=1)
+        found[:, number] = np.isfinite(heights[every, highest])
+        heights[every, highest] = -np.inf
+    return places, found
