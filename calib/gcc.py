@@ -121,8 +121,9 @@ class PairCorrelator:
 
     def _coherence(self, products: NDArray[np.complex64], powers: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return how coherent (n, n_sums) the channels are, over all pairs and neighbouring sums, without its bias."""
-        own = np.sum(powers**2, axis=2)
-        common = np.sum(products.real**2 + products.imag**2, axis=(2, 3)) - own
+        magnitude = np.abs(products)
+        own = np.einsum("nsc,nsc->ns", powers, powers)
+        common = np.einsum("nsij,nsij->ns", magnitude, magnitude) - own
         possible = np.sum(powers, axis=2) ** 2 - own
         common, possible = (uniform_filter1d(value, SMOOTHING_SUMS, axis=1) for value in (common, possible))
         coherence = common / np.maximum(possible, LEAST_POWER)
