@@ -47,7 +47,7 @@ class PulseCompressor:
         self._begin = MARGIN_BEFORE_S * sample_rate_hz
         self._end = n_samples - n_played - MARGIN_AFTER_S * sample_rate_hz
         spectrum = self.played[: self._n_points]
-        frequencies_hz = sample_rate_hz / n_samples * np.arange(self._n_points)
+        frequencies_hz = np.asarray(sample_rate_hz / n_samples * np.arange(self._n_points), dtype=float)
         power = np.abs(spectrum) ** 2
         inverse = _soft_band(frequencies_hz, _usable_band_hz(waveform)) * np.conj(spectrum)
         self._inverse = (inverse / (power + SPECTRUM_FLOOR * power.max())).astype(np.complex64)

@@ -54,7 +54,7 @@ def agree(candidates: Candidates, pairs: NDArray[np.int32], n_channels: int) -> 
 
 def _agree(candidates: Candidates, pairs: NDArray[np.int32], n_channels: int) -> Agreement:
     arrivals = _best_proposal(candidates, pairs, n_channels)
-    open_questions = (_nearest(candidates, arrivals, pairs)[0] < 0).any(axis=1)
+    open_questions = np.asarray((_nearest(candidates, arrivals, pairs)[0] < 0).any(axis=1))
     if open_questions.any():
         arrivals[open_questions] = _voted(candidates.some(open_questions), arrivals[open_questions], pairs)
     incidence = _incidence(pairs, n_channels)

@@ -96,7 +96,7 @@ class PairCorrelator:
         return (np.arange(correlation.shape[1]) - middle) * self._lag_step, correlation
 
     def _summed_products(self, samples: NDArray[np.float32]) -> tuple[NDArray[np.complex64], int]:
-        """Return levelled X_j conj(X_i), neighbours summed (n, n_sums, n_channels, n_channels), and the first sum's number.
+        """Return levelled X_j conj(X_i), summed (n, n_sums, n_channels, n_channels), and the number of the first sum.
 
         The bins of a sum are a matrix (n_channels, n_summed), and its product with itself holds all pairs.
         """
@@ -132,7 +132,7 @@ class PairCorrelator:
 
     def _usable_bins(self, magnitude: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Tell which bins (n, n_bins) of each window hold more signal than noise."""
-        n, n_channels, n_bins = magnitude.shape
+        n, _, n_bins = magnitude.shape
         whole = np.arange(n_bins) < 2 * CONVERTER_END * n_bins
         if self._per_noise is None:
             return np.broadcast_to(whole, (n, n_bins))
@@ -140,7 +140,7 @@ class PairCorrelator:
         return np.asarray(whole & (uniform_filter1d(power, SMOOTHING_BINS, axis=1) > 1 + SIGNAL_TO_NOISE))
 
     def _correlation(self, crosses: NDArray[np.complex64], first: int) -> NDArray[np.float32]:
-        """Return correlations (n, n_pairs, n_lags) of (n, n_sums, n_pairs) around lag zero, `lag_step` samples apart."""
+        """Return correlations (n, n_pairs, n_lags) at lags around zero, `lag_step` samples apart."""
         n, n_sums, n_pairs = crosses.shape
         spectrum = np.zeros((n, n_pairs, self._n_lags // 2 + 1), dtype=np.complex64)
         spectrum[:, :, first : first + n_sums] = crosses.transpose(0, 2, 1)
@@ -174,7 +174,7 @@ def joined(parts: list[Candidates]) -> Candidates:
 
 
 def _highest_peaks(rows: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the places (n, N_CANDIDATES) of the highest peaks of rows (n, n_lags), less one, and whether there is one."""
+    """Return the places (n, N_CANDIDATES) of the highest peaks of rows (n, n_lags + 2), less one, and if there are any."""
     inner = rows[:, 1:-1]
     heights = np.where((inner > rows[:, :-2]) & (inner >= rows[:, 2:]), inner, -np.inf)
     every = np.arange(len(rows))

@@ -150,7 +150,7 @@ class MatchedFilter:
         return np.asarray(np.max(np.where(later, heights, 0.0), axis=1))
 
     def filtered(self, spectra: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """Return the analytic signal (n, n_channels, n_samples) of filtered windows with spectra (n, n_channels, n_bins)."""
+        """Filter windows with spectra (n, n_channels, n_bins) and return the analytic signal (n, n_channels, n_samples)."""
         return np.asarray(ifft(spectra * self._analytic_filter, self._n, axis=2, overwrite_x=True))
 
     def peaks(self, sound: Sound) -> Peaks:
@@ -207,18 +207,28 @@ class MatchedFilter:
         envelope = np.abs(ifft(spectrum, axis=1))
         return np.asarray(envelope[:, : self._max_tdoa_samples + 1] / np.maximum(envelope[:, :1], 1e-300))
 
+    @cached_property
+    def _power(self) -> FloatArray:
+        """Mean square (n_channels,) of the pulses."""
+        return np.asarray(np.mean(self.pulses**2, axis=1))
+
+    @cached_property
+    def _power_before(self) -> FloatArray:
+        """Mean square (n_channels,) of the pulses just before their peaks."""
+        return np.asarray(np.mean(self.pulses[:, self._before] ** 2, axis=1))
+
+    @cached_property
+    def _before(self) -> NDArray[np.intp]:
+        return np.arange(-round(PRE_S * self._rate_hz), -round(PRE_END_S * self._rate_hz))
+
     def _disturbance(self, real: NDArray[np.float32], first: NDArray[np.intp], amplitude: FloatArray) -> FloatArray:
-        begin, end = round(PRE_S * self._rate_hz), round(PRE_END_S * self._rate_hz)
-        lags = np.arange(-begin, -end)
-        before = np.take_along_axis(real, np.maximum(first[..., None] + lags, 0), axis=2)
-        own = np.mean(self.pulses[:, lags] ** 2, axis=1) * amplitude**2
-        power = _mean_squares(before)
-        return np.asarray(np.sqrt(power / np.maximum(own + self.noise_rms**2, 1e-300)))
+        before = np.take_along_axis(real, np.maximum(first[..., None] + self._before, 0), axis=2)
+        usual = self._power_before * amplitude**2 + self.noise_rms**2
+        return np.asarray(np.sqrt(_mean_squares(before) / np.maximum(usual, 1e-300)))
 
     def _echo(self, envelope: NDArray[np.float32], amplitude: FloatArray) -> FloatArray:
         heard = _mean_squares(envelope) / 2 - self.noise_rms**2
-        direct = np.mean(self.pulses**2, axis=1) * amplitude**2
-        return np.asarray(np.maximum(heard, 0.0) / np.maximum(direct, 1e-300))
+        return np.asarray(np.maximum(heard, 0.0) / np.maximum(self._power * amplitude**2, 1e-300))
 
     def _misfit(
         self, real: NDArray[np.float32], place: FloatArray, amplitude: FloatArray, disturbance: FloatArray

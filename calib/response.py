@@ -107,7 +107,9 @@ class ResponseLearner:
             aligned = spectra * delay_factors(-delays, self._n_stretch)
             power = np.sum(np.abs(mean) ** 2 * weights, axis=1)
             amplitudes = np.real(np.sum(aligned * np.conj(mean) * weights, axis=1)) / np.maximum(power, LEAST_POWER)
-            response = irfft(np.einsum("n,nb", amplitudes, aligned) / np.sum(amplitudes**2), self._n_stretch) * self._gate(0.0)
+            response = irfft(
+                np.einsum("n,nb", amplitudes, aligned) / np.sum(amplitudes**2), self._n_stretch
+            ) * self._gate(0.0)
             mean = np.asarray(rfft(response))
         return response, amplitudes
 
