@@ -174,7 +174,7 @@ def joined(parts: list[Candidates]) -> Candidates:
 
 
 def _highest_peaks(rows: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the places (n, N_CANDIDATES) of the highest peaks of rows (n, n_lags + 2), less one, and if there are any."""
+    """Return the places (n, N_CANDIDATES) of the highest peaks of rows (n, n_lags + 2), less one, and if there are."""
     inner = rows[:, 1:-1]
     heights = np.where((inner > rows[:, :-2]) & (inner >= rows[:, 2:]), inner, -np.inf)
     every = np.arange(len(rows))

@@ -150,7 +150,7 @@ class MatchedFilter:
         return np.asarray(np.max(np.where(later, heights, 0.0), axis=1))
 
     def filtered(self, spectra: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """Filter windows with spectra (n, n_channels, n_bins) and return the analytic signal (n, n_channels, n_samples)."""
+        """Filter spectra (n, n_channels, n_bins) and return the analytic signals (n, n_channels, n_samples)."""
         return np.asarray(ifft(spectra * self._analytic_filter, self._n, axis=2, overwrite_x=True))
 
     def peaks(self, sound: Sound) -> Peaks:
