@@ -113,9 +113,11 @@ class PictureStream:
             return self._newer_frame(asked_s, timeout_s)
 
     def check(self, timeout_s: float) -> None:
-        """See that pictures come. Raises as `next_frame` does, without waiting."""
+        """See that pictures come, and new ones now and then. Raises as `next_frame` does, without waiting."""
+        now_s = time.monotonic()
         with self._changed:
-            self._newer_frame(time.monotonic() - timeout_s, timeout_s)
+            old_ones_come = self.grabbed[1] > now_s - timeout_s
+            self._newer_frame(now_s - (_CATCH_UP_S if old_ones_come else timeout_s), timeout_s)
 
     def stop(self) -> None:
         """End the thread; one that hangs in a driver is left behind and lets go when the driver does."""
