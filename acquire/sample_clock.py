@@ -103,7 +103,7 @@ class SampleClock:
 
         While a driver's or a sound server's buffers still fill or empty, stamps drift against the samples.
         """
-        if len(self._samples) <= 2 * _SETTLED_BINS or self.is_in_doubt:
+        if len(self._samples) <= 2 * _SETTLED_BINS:
             return False
         bins = slice(-1 - 2 * _SETTLED_BINS, -1)  # the last one is not complete
         samples, hosts_s = np.array(self._samples[bins]), np.array(self._hosts_s[bins])

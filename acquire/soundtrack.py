@@ -89,7 +89,7 @@ class Soundtrack:
         if self._is_ready:
             return True
         waited_s = self._clock.now_s() - self._opened_s
-        if self._clocks.is_settled:
+        if self._clocks.is_settled and not self._is_gap:  # what settled before a gap says nothing
             self._is_ready = True
         elif waited_s > _SETTLING_S:
             self._is_ready = True

@@ -169,8 +169,12 @@ def test_pictures_may_come_late_for_a_while_whoever_asks(monkeypatch):
     stream = PictureStream(Slowing, "it", is_live=True, fps=50.0)
     stream.next_frame(8.0)
     with pytest.raises(DeviceError, match=r"it: its pictures come late"):
-        while True:
-            stream.check(0.3)
-            time.sleep(0.02)
+        check_on(stream)
     assert time.monotonic() - stream._frame.host_time_s >= 1.5
     stream.stop()
+
+
+def check_on(stream):
+    while True:
+        stream.check(0.3)
+        time.sleep(0.02)

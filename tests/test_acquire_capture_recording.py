@@ -154,3 +154,25 @@ def test_stamps_that_step_back_tell_of_a_host_that_slept(tmp_path):
         recording.record(2.0)
     assert "the host's clock jumped by 0.50 s before 5." in screen.warnings()
     assert recording.sound.losses == 1
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.004])
+def test_sound_is_ready_once_its_times_have_settled_or_after_a_while(tmp_path, drift):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    read = rig.audio.read
+    rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s * (1 + drift)) for block in read()]
+    with writer:
+        for _ in range(2):
+            recording.sound.reopened()
+            begin_s, said = rig.clock.now_s(), len(screen.messages)
+            while not recording.sound.is_ready():
+                recording.record(0.1)
+            waited_s = rig.clock.now_s() - begin_s
+            heard = [message.text for message in screen.messages[said:]]
+            waiting = [text for text in heard if "until the sound device's times have settled, 15 s at most" in text]
+            given_up = [text for text in heard if "times still shift 15 s after it was opened, going on" in text]
+            assert (len(waiting), len(given_up)) == ((1, 1) if drift else (0, 0))
+            assert 15 < waited_s < 16 if drift else 3 < waited_s < 4
+            assert recording.sound.is_ready()

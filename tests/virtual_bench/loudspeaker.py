@@ -69,7 +69,7 @@ class Loudspeaker:
 
     def __init__(self, server: PulseServer) -> None:
         self.rate_hz, self.channels = server.rate_hz, server.channels
-        self._server = server
+        self.server = server
         self.slips_s: list[float] = []
         self._spawn()
 
@@ -130,8 +130,8 @@ class Loudspeaker:
         self.written = 0
         self.stood_still = False  # the server, while something was written
         self._pacat = subprocess.Popen(
-            self._server.pacat_command(_LATENCY_MS, "--verbose"),
-            stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=self._server.environment,
+            self.server.pacat_command(_LATENCY_MS, "--verbose"),
+            stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=self.server.environment,
         )  # fmt: skip
         assert self._pacat.stdin is not None
         fcntl.fcntl(self._pacat.stdin, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
