@@ -194,3 +194,15 @@ def test_a_stream_whose_buffers_still_fill_or_empty_has_not_settled(drift_s):
     assert abs(drift_s) * np.exp(-settled_s[0] / 1.5) < 0.005  # what is left to come
     assert settled_s[-1] > 18.0
     assert clock.sample_at(START_S + 19.0) == pytest.approx(19.0 * RATE_HZ, abs=0.001 * RATE_HZ)
+
+
+def test_stamps_have_not_settled_while_the_line_still_follows_the_first_ones():
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(500, mean_late_s=0.0002)
+    hosts_s[samples > 1.0 * RATE_HZ] += 0.004  # too little for lost samples
+    for sample, host_s in zip(samples.tolist(), hosts_s.tolist(), strict=True):
+        clock.add(sample, host_s)
+        if clock.is_settled:
+            break
+    true_s = START_S + 0.004 + sample / RATE_HZ
+    assert clock.sample_at(true_s) == pytest.approx(sample, abs=0.0015 * RATE_HZ)
