@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
-BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
+BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})

@@ -12,17 +12,19 @@ from calib.camera import View
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
-from calib.errors import NotEnoughDataError
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.bias import without_bias
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import suggest_poses
-from calib.joint.observability import board_tilts_deg, observability_doubts
+from calib.joint.observability import observability_doubts
 from calib.joint.pairs import arrivals_that_agree
+from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
+from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_covariances, microphone_rms_m, shared_covariance
 from calib.settings import Settings
 from rigs.description import Intrinsics, RigDescription
@@ -31,10 +33,10 @@ from rigs.geometry import Pose
 FloatArray = NDArray[np.float64]
 
 PAIR_SIGMAS = 4.5
-MAX_STD_M = 0.05  # of the microphones, root mean square: more is no answer
-MAX_REACH_M = 10.0  # a microphone further off is a fit at infinity
+BIASED_STD_M = 0.005  # of the microphones, root mean square: below, the bias is nothing beside it
 
 
+@on_one_thread
 def answer_jointly(
     description: RigDescription,
     view: View,
@@ -57,8 +59,11 @@ def answer_jointly(
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
     if chosen.alone:
         solution = _with_pairs_that_fit(solution, chosen)
+    problem = solution.problem
     covariance = shared_covariance(problem, solution.at, solution.weights())
-    _check_determined(solution, covariance, len(channels))
+    check_determined(solution, covariance, len(channels))
+    if microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
+        solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
     fitted = _fitted_tdoas(solution, chosen)
     at = solution.at
     return Answer(
@@ -89,24 +94,6 @@ def refined_view(view: View, solution: JointSolution) -> View:
     poses = [Pose(rotation, place) for rotation, place in zip(at.rotations, at.translations_m, strict=True)]
     rms_px = float(np.sqrt(np.nanmean(np.sum(corners.residuals_px(at) ** 2, axis=2))))
     return View(intrinsics, view.source, view.pose, poses, rms_px)
-
-
-def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: int) -> None:
-    """Refuse an answer that is none: a clear statement is worth more than wild places.
-
-    Raises
-    ------
-    NotEnoughDataError
-    """
-    rms_m = microphone_rms_m(covariance, n_mics)
-    far_m = float(np.abs(solution.at.microphones_m[:n_mics]).max())
-    if rms_m > MAX_STD_M or far_m > MAX_REACH_M:
-        most, least = board_tilts_deg(solution.at.rotations)
-        raise NotEnoughDataError(
-            f"the session does not place the microphones: they are uncertain by {1e3 * rms_m:.0f} mm and up to "
-            f"{far_m:.1f} m away, with boards tilted by {most:.0f} and {least:.0f} degrees: capture more poses, "
-            "tilted by 30 degrees both ways about both axes and at several distances"
-        )
 
 
 def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[str]:
