@@ -21,7 +21,8 @@ class Answer:
     ----------
     microphones_m : (n_mics, 3) array
         Camera frame.
-    covariance_m2 : (n_mics, 3, 3) array
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array
+        Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
     view : View
         Camera and board poses.
@@ -33,7 +34,7 @@ class Answer:
     """
 
     microphones_m: FloatArray
-    covariance_m2: FloatArray
+    array_covariance_m2: FloatArray
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
+DIFFER = 5  # the exit code where two results do
 BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
 @click.option(
     "--method",
     type=click.Choice(METHODS),
@@ -62,9 +63,10 @@ BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
     metavar="N",
     help="Say which N board positions would help most.",
 )
+@click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
-    session: Path,
+    files: tuple[Path, ...],
     method: Method,
     output: Path | None,
     overwrite: bool,
@@ -76,11 +78,12 @@ def command(
     hold: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
-) -> None:
+    compare: bool,
+) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
     Writes SESSION.calib.yaml beside the session, which itself is never changed. Exit codes: 0 good, 2 usage,
-    5 data missing, damaged or not good enough, 130 interrupted.
+    5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
@@ -91,9 +94,12 @@ def command(
     from rigs.session.reader import Session
 
     console = Console()
+    if compare:
+        return _compare(files, console)
+    (session,) = files
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
-        return
+        return None
     target = output or session.with_suffix(".calib.yaml")
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
@@ -101,6 +107,20 @@ def command(
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
+    return None
+
+
+def _compare(files: tuple[Path, ...], console: Console) -> int:
+    """Return 5 where the results differ, else 0."""
+    from calib.comparison import compare
+    from calib.comparison_screen import show_comparison
+    from calib.result_file import read_result
+
+    if len(files) != 2:
+        raise click.UsageError(f"--compare takes two results, not {len(files)}: name two .calib.yaml files")
+    comparison = compare(*(read_result(file) for file in files))
+    show_comparison(comparison, console)
+    return DIFFER if comparison.differ else 0
 
 
 def _inspect(path: Path, number: int, tdoa: TdoaMode, output: Path | None, console: Console) -> None:

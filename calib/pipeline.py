@@ -51,7 +51,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         method=settings.method,
         channels=channels,
         positions_m=answer.microphones_m,
-        covariance_m2=answer.covariance_m2,
+        array_covariance_m2=answer.array_covariance_m2,
         speed_of_sound_m_s=answer.speed_of_sound_m_s,
         speed_of_sound_std_m_s=answer.speed_of_sound_std_m_s,
         view=answer.view,
@@ -68,7 +68,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
             *speed_doubts(answer.speed_of_sound_m_s, description.medium),
             *answer.warnings,
             *_order_doubts(description, channels, answer),
-            *spread_doubts(answer.covariance_m2, channels),
+            *spread_doubts(answer.array_covariance_m2, channels),
         ],
     )
 

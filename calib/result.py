@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.joint.uncertainty import microphone_covariances
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
@@ -67,7 +68,8 @@ class Calibration:
         Input channel of each microphone.
     positions_m : (n_mics, 3) array
         Camera frame.
-    covariance_m2 : (n_mics, 3, 3) array
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array
+        Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
         Where the method holds the speed, the standard deviation is the rig description's.
     view : View
@@ -88,7 +90,7 @@ class Calibration:
     method: str
     channels: tuple[int, ...]
     positions_m: FloatArray
-    covariance_m2: FloatArray
+    array_covariance_m2: FloatArray
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View
@@ -98,6 +100,11 @@ class Calibration:
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
     suggestions: tuple[str, ...] = ()
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance (n_mics, 3, 3) of each microphone."""
+        return microphone_covariances(self.array_covariance_m2, len(self.channels))
 
     @property
     def std_m(self) -> FloatArray:
@@ -152,6 +159,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
         document["sound"] = result.sound
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
+    document["array_covariance_m2"] = [[float(f"{value:.9g}") for value in row] for row in result.array_covariance_m2]
     return document
 
 

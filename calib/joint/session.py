@@ -23,7 +23,7 @@ from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
-from calib.joint.uncertainty import microphone_covariances, microphone_rms_m, shared_covariance
+from calib.joint.uncertainty import microphone_rms_m, shared_covariance
 from calib.settings import Settings
 from rigs.description import Intrinsics, RigDescription
 from rigs.geometry import Pose
@@ -63,7 +63,7 @@ def answer_jointly(
     at = solution.at
     return Answer(
         microphones_m=at.microphones_m[: len(channels)],
-        covariance_m2=microphone_covariances(covariance, len(channels)),
+        array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
         speed_of_sound_m_s=at.speed_m_s,
         speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed][0, 0])),
         view=refined_view(view, solution),
