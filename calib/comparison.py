@@ -111,7 +111,7 @@ class Comparison:
     first, second : ArrayResult
         Of the channels that both have.
     unmoved, rigid : Fit
-        If nothing moved; if the array moved as a whole.
+        If nothing moved; if the array moved as a whole, but for the microphones that `best` has moved by themselves.
     best : Fit
         With all that is needed to explain the difference; `unmoved` where they agree.
     """
@@ -161,8 +161,9 @@ def compare(first: ArrayResult, second: ArrayResult) -> Comparison:
             "name two results of one array"
         )
     first, second = first.only(common), second.only(common)
-    unmoved, rigid = fit(first, second), fit(first, second, rigid=True)
-    return Comparison(first, second, unmoved, rigid, _explained(first, second, unmoved))
+    unmoved = fit(first, second)
+    best = _explained(first, second, unmoved)
+    return Comparison(first, second, unmoved, fit(first, second, rigid=True, moved=best.moved), best)
 
 
 def fit(first: ArrayResult, second: ArrayResult, *, rigid: bool = False, moved: tuple[int, ...] = ()) -> Fit:

@@ -10,6 +10,8 @@ from rich.table import Table
 
 from calib.comparison import FALSE_ALARM, ChiSquare, Comparison, Fit
 
+LEAST_CHANCE = 1e-9
+
 
 def show_comparison(comparison: Comparison, console: Console) -> None:
     """Print the shifts, how likely they are, and a verdict in one line."""
@@ -73,7 +75,8 @@ def _chance_table(comparison: Comparison) -> Table:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 1))
     table.add_column(style="dim")
     table.add_column()
-    for name, fit in (("all shifts", comparison.unmoved), ("in shape", comparison.rigid)):
+    shape = f"in shape{', but for those that moved' if comparison.rigid.moved else ''}"
+    for name, fit in (("all shifts", comparison.unmoved), (shape, comparison.rigid)):
         square = fit.chi_square
         table.add_row(name, f"chi-square {square.value:.1f}, expected {square.n_free}; chance {_chance(square)}")
     rigid = comparison.rigid
@@ -85,4 +88,7 @@ def _chance_table(comparison: Comparison) -> Table:
 
 
 def _chance(chi_square: ChiSquare) -> str:
-    return f"{chi_square.chance:.2f}" if chi_square.chance >= 0.01 else f"{chi_square.chance:.0e}"
+    chance = chi_square.chance
+    if chance < LEAST_CHANCE:
+        return f"< {LEAST_CHANCE:.0e}"
+    return f"{chance:.2f}" if chance >= 0.01 else f"{chance:.0e}"
