@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import View
+from calib.joint.continuation import Continuation
+from calib.joint.next_pose import Suggestion
+from calib.joint.observability import Weakest
 from calib.result import HeldOut, Residual
 
 FloatArray = NDArray[np.float64]
@@ -29,8 +32,12 @@ class Answer:
     residual : Residual
     warnings : list of str
     held_out : HeldOut or None
-    suggestions : list of str
+    suggestions : list of Suggestion
         Further board positions that would help most, the best first.
+    weakest : Weakest or None
+        How the array is known worst.
+    continuation : Continuation or None
+        Where a solve of more poses may start.
     """
 
     microphones_m: FloatArray
@@ -41,4 +48,6 @@ class Answer:
     residual: Residual
     warnings: list[str] = field(default_factory=list)
     held_out: HeldOut | None = None
-    suggestions: list[str] = field(default_factory=list)
+    suggestions: list[Suggestion] = field(default_factory=list)
+    weakest: Weakest | None = None
+    continuation: Continuation | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +14,7 @@ from rigs.command import run
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calib.settings import Method
+    from calib.settings import Method, Settings
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
@@ -63,6 +65,11 @@ BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
     metavar="N",
     help="Say which N board positions would help most.",
 )
+@click.option(
+    "--follow",
+    is_flag=True,
+    help="Solve again with every pose that is being captured; prints a line of JSON each time.",
+)
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
@@ -78,6 +85,7 @@ def command(
     hold: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
+    follow: bool,
     compare: bool,
 ) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
@@ -101,13 +109,30 @@ def command(
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
     target = output or session.with_suffix(".calib.yaml")
+    settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
+    if follow:
+        _follow(session, target, settings, overwrite=overwrite)
+        return None
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
-        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
     return None
+
+
+def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:
+    import json
+
+    from calib.follow import follow
+
+    def say(progress: dict[str, object]) -> None:
+        try:
+            click.echo(json.dumps(progress))
+        except BrokenPipeError:  # nobody reads any more; the result is still wanted
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    follow(session, target, settings, say, overwrite=overwrite)
 
 
 def _compare(files: tuple[Path, ...], console: Console) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.cache import ArrivalCache
 from calib.errors import NotEnoughDataError
 from calib.flaws import HARMLESS, OF_CHANNELS, Flaw
-from calib.sound import SoundArrivals, TdoaMode, find_arrivals
+from calib.sound import Ear, SoundArrivals, TdoaMode, find_arrivals
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
@@ -62,8 +62,19 @@ def accepted_rows(session: Session) -> RowArray:
     return rows
 
 
-def measure_tdoas(session: Session, mode: TdoaMode = "auto", cache: ArrivalCache | None = None) -> EmissionTdoas:
+def measure_tdoas(
+    session: Session, mode: TdoaMode = "auto", cache: ArrivalCache | None = None, ear: Ear | None = None
+) -> EmissionTdoas:
     """Measure the TDOAs of all accepted emissions of accepted poses, or take the arrivals of an earlier run.
+
+    Parameters
+    ----------
+    session : Session
+    mode : {"auto", "matched", "gcc-phat"}
+    cache : ArrivalCache or None
+        Where the arrivals of an earlier run may be, and are left for the next.
+    ear : Ear or None
+        What remembers the emissions that were heard before.
 
     Raises
     ------
@@ -79,7 +90,7 @@ def measure_tdoas(session: Session, mode: TdoaMode = "auto", cache: ArrivalCache
         return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs)
     sound = cache.load(rows, mode) if cache else None
     if sound is None:
-        sound = find_arrivals(session, rows, mode)
+        sound = ear.hear(session, rows) if ear else find_arrivals(session, rows, mode)
         if cache:
             cache.save(sound, mode)
     return tdoas_of(session, rows, sound)

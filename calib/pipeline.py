@@ -14,6 +14,7 @@ from calib.emissions import measure_tdoas
 from calib.evaluation import Evaluation, evaluate
 from calib.joint.session import answer_jointly
 from calib.measurements import Measurements
+from calib.memory import Memory
 from calib.methods import check_heard, microphone_channels
 from calib.order import order_doubts
 from calib.result import Calibration
@@ -23,8 +24,22 @@ from rigs.description import RigDescription
 from rigs.session.reader import Session
 
 
-def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] = lambda _: None) -> Calibration:
-    """Find every microphone of a session in the camera frame; `tell` is called with each step's name.
+def calibrate(
+    session: Session,
+    settings: Settings,
+    tell: Callable[[str], None] = lambda _: None,
+    memory: Memory | None = None,
+) -> Calibration:
+    """Find every microphone of a session in the camera frame.
+
+    Parameters
+    ----------
+    session : Session
+    settings : Settings
+    tell : callable
+        Called with each step's name.
+    memory : Memory or None
+        Of a session that grows: what was found before. What it takes to judge a whole session is then left for later.
 
     Raises
     ------
@@ -34,17 +49,24 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
     description = session.description
     channels = microphone_channels(description, settings)
     tell("finding the board in the pictures")
-    corners = find_pose_corners(session)
+    corners = find_pose_corners(session, memory.poses if memory else None)
     tell("measuring arrivals in the sound")
-    session_sha256 = session.sha256()
-    tdoas = measure_tdoas(session, settings.tdoa, ArrivalCache(session.path, session_sha256))
+    growing = memory if memory and not memory.is_over else None
+    session_sha256 = "" if growing else session.sha256()
+    cache = None if growing else ArrivalCache(session.path, session_sha256)
+    tdoas = measure_tdoas(session, settings.tdoa, cache, growing.ear if growing else None)
     check_heard(tdoas, channels)
     measured = Measurements(description, corners, tdoas, settings)
     tell("solving")
     if settings.method == "joint":
-        answer = answer_jointly(description, measured.view, corners, tdoas, channels, settings)
+        before = growing.continuation if growing else None
+        answer = answer_jointly(
+            description, measured.view, corners, tdoas, channels, settings, before=before, is_last=growing is None
+        )
     else:
         answer = measured.answer()
+    if growing:
+        growing.continuation = answer.continuation
     return Calibration(
         session_name=session.name,
         session_sha256=session_sha256,
@@ -59,9 +81,10 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         evaluation=_evaluation(session, channels, answer),
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
+        weakest=answer.weakest,
         sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
         warnings=[
-            *session_doubts(session),
+            *([] if growing else session_doubts(session)),
             *corners.warnings,
             *tdoas.warnings,
             *view_doubts(answer.view),

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.joint.next_pose import Suggestion
+from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
 from rigs import __version__
 from rigs.errors import TargetExistsError
@@ -81,8 +83,10 @@ class Calibration:
         What was heard and what was wrong with it, in plain values; None where TDOAs were not measured in sound.
     held_out : HeldOut or None
         None for the paper's methods.
-    suggestions : tuple of str
+    suggestions : tuple of Suggestion
         Further board positions that would help most, the best first.
+    weakest : Weakest or None
+        How the array is known worst; None for the paper's methods.
     """
 
     session_name: str
@@ -99,12 +103,18 @@ class Calibration:
     warnings: list[str]
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
-    suggestions: tuple[str, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
+    weakest: Weakest | None = None
 
     @property
     def covariance_m2(self) -> FloatArray:
         """Covariance (n_mics, 3, 3) of each microphone."""
         return microphone_covariances(self.array_covariance_m2, len(self.channels))
+
+    @property
+    def worst_std_m(self) -> FloatArray:
+        """Standard deviation (n_mics,) of each microphone in its weakest direction."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariance_m2)[:, -1]))
 
     @property
     def std_m(self) -> FloatArray:
@@ -153,8 +163,10 @@ def as_document(result: Calibration) -> dict[str, Any]:
     }
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
+    if result.weakest is not None:
+        document["weakest"] = asdict(result.weakest) | {"std_m": _rounded(result.weakest.std_m, 7)}
     if result.suggestions:
-        document["suggested_poses"] = list(result.suggestions)
+        document["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
     if result.sound is not None:
         document["sound"] = result.sound
     if result.evaluation is not None:

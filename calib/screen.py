@@ -29,7 +29,7 @@ def show(result: Calibration, path: Path, console: Console) -> None:
     for warning in result.warnings:
         console.print(_warning(warning))
     for number, suggestion in enumerate(result.suggestions, start=1):
-        console.print(f"next pose {number}: {escape(suggestion)}")
+        console.print(f"next pose {number}: {escape(suggestion.sentence())}")
     console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
 
 

@@ -13,7 +13,7 @@ from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
 from calib.gcc import PairCorrelator, candidates_of
-from calib.receptions import SILENT_RMS, Listener, find_flaws
+from calib.receptions import SILENT_RMS, Listener, Receptions, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
 from rigs.waveform import Waveform
@@ -57,6 +57,46 @@ class SoundArrivals:
     quality: FloatArray
 
 
+class Ear:
+    """Hears a growing session's emissions, each once: what was heard before is kept.
+
+    What the buzzers sound like is learnt from the emissions of the first time.
+
+    Parameters
+    ----------
+    mode : {"auto", "matched", "gcc-phat"}
+    """
+
+    def __init__(self, mode: TdoaMode) -> None:
+        self._mode = mode
+        self._rows = np.array([], dtype=np.intp)
+        self._listener: Listener | None = None
+        self._receptions: Receptions | None = None
+
+    def hear(self, session: Session, rows: RowArray) -> SoundArrivals:
+        """Find the arrivals of some emissions (n,); where the first are not those of the last time, it begins anew.
+
+        Raises
+        ------
+        NotEnoughDataError
+            As `find_arrivals` does.
+        """
+        waveform = session.description.signal.waveform()
+        wrong = _checked_labels(session, rows, waveform)
+        if not _is_known(self._mode, wrong):
+            return _correlated(session, rows, waveform)
+        if not np.array_equal(rows[: len(self._rows)], self._rows):
+            self._listener = self._receptions = None
+        self._rows = rows
+        if self._listener is None:
+            windows, self._listener = listener_of(session, rows, waveform, wrong)
+        else:
+            windows = windows_of(session, rows, waveform)
+            self._listener = self._listener.among(windows, session.emissions["buzzer"][rows])
+        self._receptions = self._listener.hear(session.description.capture.clip_level, self._receptions)
+        return _judged(session, rows, windows, self._listener, self._receptions, wrong)
+
+
 def find_arrivals(session: Session, rows: RowArray, mode: TdoaMode) -> SoundArrivals:
     """Find the arrivals of some emissions (n,) of a session.
 
@@ -65,15 +105,21 @@ def find_arrivals(session: Session, rows: RowArray, mode: TdoaMode) -> SoundArri
     NotEnoughDataError
         The waveform is a steady tone, or most emissions played something else than the rig description says.
     """
-    waveform = session.description.signal.waveform()
+    return Ear(mode).hear(session, rows)
+
+
+def _checked_labels(session: Session, rows: RowArray, waveform: Waveform) -> NDArray[np.bool_]:
     if waveform.kind == "tone":
         raise NotEnoughDataError(
             "a steady tone leaves arrivals ambiguous by whole periods, so no TDOA is measured in it: capture again "
             "with signal.kind sweep or mls in the rig description"
         )
-    wrong = wrong_labels(session, rows, waveform)
-    matched = mode == "matched" or (mode == "auto" and wrong.mean() <= 0.5)
-    return _matched(session, rows, waveform, wrong) if matched else _correlated(session, rows, waveform)
+    return wrong_labels(session, rows, waveform)
+
+
+def _is_known(mode: TdoaMode, wrong: NDArray[np.bool_]) -> bool:
+    """Tell whether the known waveform is looked for."""
+    return mode == "matched" or (mode == "auto" and wrong.mean() <= 0.5)
 
 
 def wrong_labels(session: Session, rows: RowArray, waveform: Waveform) -> NDArray[np.bool_]:
@@ -112,9 +158,11 @@ def listener_of(
     return windows, Listener(windows, session.emissions["buzzer"][rows], waveform, max_tdoa_s, usable)
 
 
-def _matched(session: Session, rows: RowArray, waveform: Waveform, wrong: NDArray[np.bool_]) -> SoundArrivals:
-    windows, listener = listener_of(session, rows, waveform, wrong)
-    receptions = listener.hear(session.description.capture.clip_level)
+def _judged(
+    session: Session, rows: RowArray, windows: EmissionWindows, listener: Listener, receptions: Receptions,
+    wrong: NDArray[np.bool_],
+) -> SoundArrivals:  # fmt: skip
+    """Keep the receptions that have no flaw."""
     max_tdoa_samples = session.description.calibration.max_tdoa_s * session.sample_rate_hz
     flaws = find_flaws(receptions, listener, windows, wrong, max_tdoa_samples)
     place = receptions.peaks.place_samples + windows.first_samples[:, None]

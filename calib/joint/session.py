@@ -15,15 +15,18 @@ from calib.emissions import EmissionTdoas
 from calib.errors import NotEnoughDataError
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.continuation import Continuation
 from calib.joint.heldout import hold_out
-from calib.joint.next_pose import suggest_poses
-from calib.joint.observability import board_tilts_deg, observability_doubts
+from calib.joint.next_pose import Suggestion, suggest_poses
+from calib.joint.observability import board_tilts_deg, observability_doubts, weakest_motion
 from calib.joint.pairs import arrivals_that_agree
+from calib.joint.problem import JointProblem
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
+from calib.joint.unknowns import Unknowns
 from calib.settings import Settings
 from rigs.description import Intrinsics, RigDescription
 from rigs.geometry import Pose
@@ -32,6 +35,7 @@ FloatArray = NDArray[np.float64]
 
 PAIR_SIGMAS = 4.5
 MAX_STD_M = 0.05  # of the microphones, root mean square: more is no answer
+WORSE = 2.0  # times the scatter of an earlier solve: then that was in a wrong place
 MAX_REACH_M = 10.0  # a microphone further off is a fit at infinity
 
 
@@ -42,8 +46,24 @@ def answer_jointly(
     tdoas: EmissionTdoas,
     channels: tuple[int, ...],
     settings: Settings,
+    *,
+    before: Continuation | None = None,
+    is_last: bool = True,
 ) -> Answer:
     """Find the microphones along with everything that is not known exactly.
+
+    Parameters
+    ----------
+    description : RigDescription
+    view : View
+    corners : PoseCorners
+    tdoas : EmissionTdoas
+    channels : tuple of int
+    settings : Settings
+    before : Continuation or None
+        Where to start; None: from nothing.
+    is_last : bool
+        Not, where more poses are coming: then nothing is held out.
 
     Raises
     ------
@@ -52,8 +72,8 @@ def answer_jointly(
     problem, guess = assemble(
         description, view, corners, tdoas, channels, hold=settings.hold, find_delays=settings.find_delays
     )
-    start = find_start(problem, guess, settings.seed)
-    solution, suspects = find_suspects(solve_robustly(problem, start.at))
+    solution, rival_m = _solved(problem, guess, view, settings, before)
+    solution, suspects = find_suspects(solution)
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
     if chosen.alone:
         solution = _with_pairs_that_fit(solution, chosen)
@@ -69,14 +89,28 @@ def answer_jointly(
         view=refined_view(view, solution),
         residual=fitted.residual(),
         warnings=[
-            *_rival_doubts(start.at.microphones_m, start.rival_m, channels),
+            *_rival_doubts(at.microphones_m, rival_m, channels),
             *suspect_doubts(suspects, solution, description, channels),
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
         ],
-        held_out=hold_out(solution, chosen),
+        held_out=hold_out(solution, chosen) if is_last else None,
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
+        weakest=weakest_motion(solution, covariance, len(channels)),
+        continuation=Continuation(at, view.pose, solution.scales.arrivals),
     )
+
+
+def _solved(
+    problem: JointProblem, guess: Unknowns, view: View, settings: Settings, before: Continuation | None
+) -> tuple[JointSolution, FloatArray | None]:
+    """Solve, near an earlier solution if that still fits; return another place that fits nearly as well, too."""
+    if before is not None:
+        solution = solve_robustly(problem, before.start(problem, guess, view.pose))
+        if solution.scales.arrivals < WORSE * before.scale:
+            return solution, None
+    start = find_start(problem, guess, settings.seed)
+    return solve_robustly(problem, start.at), start.rival_m
 
 
 def refined_view(view: View, solution: JointSolution) -> View:
@@ -109,11 +143,8 @@ def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: i
         )
 
 
-def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[str]:
-    if not n_poses:
-        return []
-    now_m, suggestions = suggest_poses(solution, description.camera.size_px, n_mics, n_poses)
-    return [f"{suggestion.sentence()} (now {1e3 * now_m:.2f} mm)" for suggestion in suggestions]
+def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[Suggestion]:
+    return suggest_poses(solution, description.camera.size_px, n_mics, n_poses)[1] if n_poses else []
 
 
 def _with_pairs_that_fit(solution: JointSolution, chosen: PairTdoas) -> JointSolution:
