@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 DIFFER = 5  # the exit code where two results do
-BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
+BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})

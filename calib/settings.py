@@ -26,7 +26,8 @@ class Settings:
     tdoa : {"auto", "matched", "gcc-phat"}
         How arrivals are measured in the sound.
     hold : tuple of str
-        Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "intrinsics", "poses".
+        Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "corners", "intrinsics",
+        "poses".
     find_delays : bool
         Joint finds a delay of each channel.
     suggest_poses : int

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import MICROPHONES_M
-from measured_rig import CHANNELS, Rig, make_rig
+from measured_rig import CHANNELS, Rig, bent_rig, make_rig
 
 from calib.errors import NotEnoughDataError
 from calib.joint.assemble import pair_tdoas
@@ -66,6 +66,12 @@ def test_boards_tilted_one_way_only_are_told():
     assert board_tilts_deg(np.array([pose.rotation for pose in facing_poses(15)]))[1] < 1
     assert any("about one axis differ by 0." in warning for warning in answer.warnings)
     assert not any("about one axis" in warning for warning in answered(make_rig(0)).warnings)
+
+
+def test_a_bent_board_is_told():
+    bent = make_rig(0, description=bent_rig())
+    assert any(warning.startswith("the board is bent by") for warning in answered(bent).warnings)
+    assert not any("bent" in warning for warning in answered(make_rig(0)).warnings)
 
 
 def test_a_focal_length_that_does_not_fit_is_told():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from calib.joint.problem import JointProblem, Priors
 from calib.joint.robust import JointSolution
 from calib.joint.unknowns import Blocks, Unknowns
 from rigs.board import board_corners_m
-from rigs.description import Camera, Intrinsics, RigDescription
+from rigs.description import Board, Camera, Intrinsics, RigDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -25,9 +26,10 @@ CORNER_STD_PX = 0.1  # only a first value: the scale is found from the residuals
 LEAST_ARRIVAL_STD_S = 1e-8  # corners and poses are no better than that
 DELAY_STD_S = 1e-3  # where delays are to be found
 # Of intrinsics that the rig description gives: lenses move with focus, temperature and every new calibration.
-GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_DISTORTION = 0.02, 0.02, 0.1
+GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_RADIAL = 0.02, 0.02, 0.1
 # Of intrinsics found from the session: hardly a prior, but it keeps what nothing else tells from running away.
-FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_DISTORTION = 0.5, 0.2, 1.0
+FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_RADIAL = 0.5, 0.2, 1.0
+TANGENTIAL = 0.005  # of any lens: its elements are centred to a few hundredths of a millimetre
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ def assemble(
     channels : tuple of int
         Of the microphones to be found.
     hold : tuple of str
-        Of "speed", "buzzers", "scale", "intrinsics" and "poses": held at what the rig description, or `view`, says.
+        Of "speed", "buzzers", "scale", "corners", "intrinsics" and "poses": held at what the rig description, or
+        `view`, says.
     find_delays : bool
         Channels may be late, each by a constant time.
 
@@ -106,12 +109,13 @@ def assemble(
         np.array([buzzer.position_m for buzzer in description.board.buzzers]),
         camera_vector(view.intrinsics),
         view.board_to_camera,
+        0 if "corners" in hold else n_corners(description.board),
     )
     std = _prior_std(start.blocks, description)
     if reference is not None:
         std[start.blocks.microphone(len(channels))] = reference.position_std_m
     std[start.blocks.delays] = DELAY_STD_S if find_delays else 0.0
-    for name in set(hold) - {"poses"}:
+    for name in set(hold) - {"poses", "corners"}:
         std[_named(start.blocks, name)] = 0.0
     priors = Priors(start.shared, std, poses_held="poses" in hold)
     seen = CornerTable(
@@ -161,18 +165,29 @@ def _prior_std(blocks: Blocks, description: RigDescription) -> FloatArray:
     std[blocks.buzzers] = board.buzzer_std_m
     std[blocks.scale] = board.square_size_std_m / board.square_size_m
     std[blocks.camera] = _camera_std(description.camera)
+    std[blocks.corners] = np.tile(corner_std_m(board), blocks.n_corners)
     return std
+
+
+def n_corners(board: Board) -> int:
+    """Return how many corners may be elsewhere than on a perfect board."""
+    return math.prod(board.corners) if corner_std_m(board).any() else 0
+
+
+def corner_std_m(board: Board) -> FloatArray:
+    """Return how far corners may be from their places on a perfect board: standard deviations (3,), board frame."""
+    return np.array([board.print_std_m, board.print_std_m, board.flatness_std_m])
 
 
 def _camera_std(camera: Camera) -> FloatArray:
     width = camera.size_px[0]
     if isinstance(camera.intrinsics, Intrinsics):
         focal_px = GIVEN_FOCAL_SHARE * np.array(camera.intrinsics.focal_px)
-        principal_px, distortion = GIVEN_PRINCIPAL_SHARE * width, GIVEN_DISTORTION
+        principal_px, radial = GIVEN_PRINCIPAL_SHARE * width, GIVEN_RADIAL
     else:
         focal_px = np.full(2, FOUND_FOCAL_SHARE * width)
-        principal_px, distortion = FOUND_PRINCIPAL_SHARE * width, FOUND_DISTORTION
-    return np.array([*focal_px, *[principal_px] * 2, *[distortion] * 4, 0.0])
+        principal_px, radial = FOUND_PRINCIPAL_SHARE * width, FOUND_RADIAL
+    return np.array([*focal_px, *[principal_px] * 2, *[radial] * 2, *[TANGENTIAL] * 2, 0.0])
 
 
 def _named(blocks: Blocks, name: str) -> slice:

@@ -14,6 +14,7 @@ from rigs.description import Camera, Intrinsics
 FloatArray = NDArray[np.float64]
 
 LITTLE_TILT_DEG = 5.0
+BENT_M = 0.001
 LARGE_STD_M = 0.002
 STRAINED_SIGMAS = 3.0
 CORRELATED = 0.5
@@ -54,6 +55,7 @@ def observability_doubts(
     """Say what weakens the answer as a whole."""
     return [
         *_tilt_doubts(solution.at.rotations),
+        *_flatness_doubts(solution),
         *_focal_doubts(solution, camera),
         *_weakest_doubts(weakest_motion(solution, covariance, len(channels))),
     ]
@@ -66,6 +68,22 @@ def _tilt_doubts(rotations: FloatArray) -> list[str]:
     doubt = (
         f"the boards' tilts about one axis differ by {little:.1f} degrees only: focal length and depth can hardly be "
         "told apart; tilt the board by 30 degrees both ways, about both axes"
+    )
+    return [doubt]
+
+
+def _flatness_doubts(solution: JointSolution) -> list[str]:
+    """Say how bent the board is: what is left of its corners' heights over the plane that fits them best."""
+    corners, heights_m = solution.problem.corners, solution.at.shared[solution.at.blocks.corners][2::3]
+    if corners is None or not len(heights_m):
+        return []
+    plane = np.column_stack([corners.board_m[:, :2], np.ones(len(heights_m))])
+    bend_m = float(np.ptp(heights_m - plane @ np.linalg.lstsq(plane, heights_m, rcond=None)[0]))
+    if bend_m < BENT_M:
+        return []
+    doubt = (
+        f"the board is bent by {1e3 * bend_m:.1f} mm: its shape was found along with the rest, but a stiff and flat "
+        "plate needs fewer poses"
     )
     return [doubt]
 
@@ -124,4 +142,6 @@ def _unknown_name(solution: JointSolution, place: int) -> str:
         return "the buzzers' places"
     if place < blocks.camera.start:
         return "the size of the squares"
+    if place >= blocks.corners.start:
+        return "the flatness of the board"
     return f"the camera's {CAMERA_VALUES[place - blocks.camera.start]}"

@@ -25,6 +25,7 @@ from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
+from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
 from calib.joint.unknowns import Unknowns
 from calib.settings import Settings
@@ -39,6 +40,7 @@ WORSE = 2.0  # times the scatter of an earlier solve: then that was in a wrong p
 MAX_REACH_M = 10.0  # a microphone further off is a fit at infinity
 
 
+@on_one_thread
 def answer_jointly(
     description: RigDescription,
     view: View,

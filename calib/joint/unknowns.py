@@ -26,10 +26,13 @@ class Blocks:
     Parameters
     ----------
     n_mics, n_buzzers : int
+    n_corners : int
+        Of the board, if their places on it are to be found, else 0.
     """
 
     n_mics: int
     n_buzzers: int
+    n_corners: int = 0
 
     @property
     def microphones(self) -> slice:
@@ -62,9 +65,14 @@ class Blocks:
         return slice(self.scale.stop, self.scale.stop + len(CAMERA_VALUES))
 
     @property
+    def corners(self) -> slice:
+        """How far each corner is from its place on a perfect board, three coordinates in metres, board frame."""
+        return slice(self.camera.stop, self.camera.stop + 3 * self.n_corners)
+
+    @property
     def size(self) -> int:
         """Length of the vector."""
-        return int(self.camera.stop)
+        return int(self.corners.stop)
 
     def microphone(self, number: int) -> slice:
         """Return where one microphone stands."""
@@ -102,11 +110,13 @@ class Unknowns:
         buzzers_m: FloatArray,
         camera: FloatArray,
         poses: list[Pose],
+        n_corners: int = 0,
     ) -> Unknowns:
-        """Put values together; delays are 0 and the board's scale is 1."""
-        blocks = Blocks(len(microphones_m), len(buzzers_m))
+        """Put values together; delays are 0, the board is perfect and its scale is 1."""
+        blocks = Blocks(len(microphones_m), len(buzzers_m), n_corners)
+        delays_s, corners_m = np.zeros(len(microphones_m)), np.zeros(3 * n_corners)
         shared = np.concatenate(
-            [microphones_m.ravel(), np.zeros(len(microphones_m)), [speed_m_s], buzzers_m.ravel(), [1.0], camera]
+            [microphones_m.ravel(), delays_s, [speed_m_s], buzzers_m.ravel(), [1.0], camera, corners_m]
         )
         rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
         return cls(blocks, shared, rotations, np.array([pose.translation_m for pose in poses]).reshape(-1, 3))
@@ -140,6 +150,11 @@ class Unknowns:
     def camera(self) -> FloatArray:
         """Intrinsics (9,)."""
         return self.shared[self.blocks.camera]
+
+    @property
+    def corners_m(self) -> FloatArray | float:
+        """How far each corner (n_corners, 3) is from its place on a perfect board; 0 where that is not to be found."""
+        return self.shared[self.blocks.corners].reshape(-1, 3) if self.blocks.n_corners else 0.0
 
     def moved(self, shared_step: FloatArray, pose_steps: FloatArray) -> Unknowns:
         """Return the unknowns after steps (n_shared,) and (n_poses, 6)."""
