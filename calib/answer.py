@@ -27,6 +27,7 @@ class Answer:
     array_covariance_m2 : (3 n_mics, 3 n_mics) array
         Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
+        Of several sessions the mean.
     view : View
         Camera and board poses.
     residual : Residual
@@ -38,6 +39,8 @@ class Answer:
         How the array is known worst.
     continuation : Continuation or None
         Where a solve of more poses may start.
+    speeds_m_s, speed_stds_m_s : tuple of float
+        Speed of sound of each session, where there are several.
     """
 
     microphones_m: FloatArray
@@ -51,3 +54,5 @@ class Answer:
     suggestions: list[Suggestion] = field(default_factory=list)
     weakest: Weakest | None = None
     continuation: Continuation | None = None
+    speeds_m_s: tuple[float, ...] = ()
+    speed_stds_m_s: tuple[float, ...] = ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 DIFFER = 5  # the exit code where two results do
+MOST_NAMES = 3  # of sessions, in the name of their result
 BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
@@ -90,12 +92,13 @@ def command(
 ) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
-    Writes SESSION.calib.yaml beside the session, which itself is never changed. Exit codes: 0 good, 2 usage,
+    Several sessions of one rig are solved together. Writes SESSION.calib.yaml beside the (first) session, of several
+    SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good, 2 usage,
     5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
-    from calib.pipeline import calibrate
+    from calib.pipeline import calibrate, calibrate_together
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from calib.settings import Settings
@@ -104,21 +107,37 @@ def command(
     console = Console()
     if compare:
         return _compare(files, console)
-    (session,) = files
+    session = files[0]
+    if len(files) > 1 and (follow or inspect_tdoa is not None):
+        raise click.UsageError("--follow and --inspect-tdoa take one session")
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
-    target = output or session.with_suffix(".calib.yaml")
+    target = output or _result_path(files)
     settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
     if follow:
         _follow(session, target, settings, overwrite=overwrite)
         return None
-    with Session.open(session) as opened, console.status("opening") as status:
-        check_result_target(target, overwrite=overwrite)
-        result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
+    check_result_target(target, overwrite=overwrite)
+    with ExitStack() as stack:
+        status = stack.enter_context(console.status("opening"))
+        sessions = [stack.enter_context(Session.open(file)) for file in files]
+        if len(sessions) == 1:
+            result = calibrate(sessions[0], settings, lambda step: status.update(f"{session.name}: {step} ..."))
+        else:
+            result = calibrate_together(sessions, settings, lambda step: status.update(f"{step} ..."))
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
     return None
+
+
+def _result_path(sessions: tuple[Path, ...]) -> Path:
+    """Return where the result goes if nothing else is asked for: beside the first session."""
+    if len(sessions) > MOST_NAMES:
+        name = f"{sessions[0].stem}+{len(sessions) - 1}-more"
+    else:
+        name = "+".join(session.stem for session in sessions)
+    return sessions[0].with_name(f"{name}.calib.yaml")
 
 
 def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:

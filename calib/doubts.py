@@ -94,7 +94,8 @@ def _culprit(fitted: FittedTdoas, rejected: NDArray[np.bool_]) -> str:
             int(label): n_rejected[labels == label].sum() / max(n_present[labels == label].sum(), 1)
             for label in np.unique(labels)
         }
-        bad = [str(label) for label, share in shares.items() if share > CULPRIT_SHARE]
+        names = fitted.pose_names if kind == "pose" else {}
+        bad = [names.get(label, str(label)) for label, share in shares.items() if share > CULPRIT_SHARE]
         if bad and len(bad) < len(shares):
             where = "board.buzzers in the rig description" if kind == "buzzer" else "what happened there"
             return f", most of those of {kind} {' and '.join(bad[:4])}: check {where}"

@@ -37,6 +37,10 @@ class EmissionTdoas:
     warnings : list of str
     sound : SoundArrivals or None
         What they were measured from; None where the session begins with them.
+    session : (n_emissions,) integer array or None
+        Which of several sessions each is of; None: there is one only.
+    pose_names : dict of int to str
+        What poses are called where not by their number.
     """
 
     pose: NDArray[np.int32]
@@ -45,6 +49,8 @@ class EmissionTdoas:
     pairs: NDArray[np.int32]
     warnings: list[str] = field(default_factory=list)
     sound: SoundArrivals | None = None
+    session: RowArray | None = None
+    pose_names: dict[int, str] = field(default_factory=dict)
 
 
 def accepted_rows(session: Session) -> RowArray:

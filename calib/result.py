@@ -58,6 +58,17 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class SessionShare:
+    """One of several sessions that a result rests on; each has a speed of sound of its own."""
+
+    name: str
+    sha256: str
+    n_poses: int
+    speed_of_sound_m_s: float
+    speed_of_sound_std_m_s: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Microphones in the camera frame.
 
@@ -87,6 +98,8 @@ class Calibration:
         Further board positions that would help most, the best first.
     weakest : Weakest or None
         How the array is known worst; None for the paper's methods.
+    sessions : tuple of SessionShare
+        Where it was made from several; the speed of sound is then their mean.
     """
 
     session_name: str
@@ -105,6 +118,7 @@ class Calibration:
     held_out: HeldOut | None = None
     suggestions: tuple[Suggestion, ...] = ()
     weakest: Weakest | None = None
+    sessions: tuple[SessionShare, ...] = ()
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -159,8 +173,14 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "n_poses": len(result.view.board_to_camera),
         },
         "warnings": list(result.warnings),
-        "session": {"name": result.session_name, "sha256": result.session_sha256},
     }
+    if result.sessions:
+        document["sessions"] = [
+            asdict(share) | {name: _rounded(getattr(share, name), 4) for name in asdict(share) if "speed" in name}
+            for share in result.sessions
+        ]
+    else:
+        document["session"] = {"name": result.session_name, "sha256": result.session_sha256}
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
     if result.weakest is not None:

@@ -12,7 +12,8 @@ as over all pairs of microphones (arXiv 2502.06196, section III, with the pairs'
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,12 +58,15 @@ class ArrivalTable:
         Each emission on a time axis of its own; NaN where not heard.
     std_s : (n_emissions, n_mics) array
         Standard deviations of the arrivals.
+    session : (n_emissions,) integer array or None
+        Row of the session that each belongs to; None: there is one only.
     """
 
     pose: IndexArray
     buzzer: IndexArray
     arrival_s: FloatArray
     std_s: FloatArray
+    session: IndexArray | None = None
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -83,7 +87,18 @@ class ArrivalTable:
             buzzer=self.buzzer[emissions],
             arrival_s=self.arrival_s[emissions],
             std_s=self.std_s[emissions],
+            session=None if self.session is None else self.session[emissions],
         )
+
+    def speeds_m_s(self, at: Unknowns) -> FloatArray:
+        """Return the speed of sound (n_emissions, 1) of each emission."""
+        session = np.zeros(len(self.pose), dtype=np.intp) if self.session is None else self.session
+        return at.shared[at.blocks.speed][session][:, None]
+
+    def delays_s(self, at: Unknowns) -> FloatArray:
+        """Return the delays (n_emissions, n_mics) of the channels at each emission."""
+        session = np.zeros(len(self.pose), dtype=np.intp) if self.session is None else self.session
+        return at.delays_s.reshape(-1, at.blocks.n_mics)[session]
 
     def flights(self, at: Unknowns) -> Flights:
         """Trace every emission to every microphone."""
@@ -91,7 +106,7 @@ class ArrivalTable:
         rays_m = at.microphones_m - (arms_m + at.translations_m[self.pose])[:, None]
         distances_m = np.sqrt(np.einsum("eni,eni->en", rays_m, rays_m))
         units = rays_m / np.maximum(distances_m, 1e-12)[..., None]
-        return Flights(arms_m, distances_m, units, distances_m / at.speed_m_s + at.delays_s)
+        return Flights(arms_m, distances_m, units, distances_m / self.speeds_m_s(at) + self.delays_s(at))
 
     def offsets_s(self, at: Unknowns) -> FloatArray:
         """Return arrivals minus times of flight (n_emissions, n_mics): when the emission began; NaN where missing."""
@@ -104,6 +119,8 @@ class ArrivalTable:
 
     def normal_equations(self, at: Unknowns, weights: FloatArray) -> NormalEquations:
         """Linearise at some values, with weights (n_emissions, n_mics) in 1/s^2."""
+        if self.session is not None and at.blocks.n_sessions > 1:
+            return self._session_by_session(at, self.session, weights)
         flights = self.flights(at)
         weights = np.where(self.present, weights, 0.0)
         total = np.maximum(weights.sum(axis=1), 1e-300)
@@ -118,6 +135,16 @@ class ArrivalTable:
         equations.add_crossed(own, common)
         equations.add_common(common, pull)
         return equations.result(0.5 * float(np.sum(pull * centred_s)))
+
+    def _session_by_session(self, at: Unknowns, session: IndexArray, weights: FloatArray) -> NormalEquations:
+        """Sum the equations of each session, which know of their own speed of sound and delays only."""
+        parts = []
+        for number in range(at.blocks.n_sessions):
+            own = session == number
+            alone = replace(self.only(own), session=None)
+            equations = alone.normal_equations(at.of_session(number), weights[own])
+            parts.append(equations.spread(at.blocks.of_session(number), at.blocks.size))
+        return reduce(add, parts)
 
     def _common_columns(self, at: Unknowns, flights: Flights) -> FloatArray:
         """Return derivatives (n_emissions, n_mics, 10) of the flights by pose (6), buzzer (3) and speed of sound."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from calib.joint.problem import JointProblem, Priors
 from calib.joint.robust import JointSolution
 from calib.joint.unknowns import Blocks, Unknowns
 from rigs.board import board_corners_m
-from rigs.description import Board, Camera, Intrinsics, RigDescription
+from rigs.description import Board, Camera, Intrinsics, Medium, RigDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -79,6 +79,7 @@ def assemble(
     *,
     hold: tuple[str, ...] = (),
     find_delays: bool = False,
+    media: tuple[Medium, ...] = (),
 ) -> tuple[JointProblem, Unknowns]:
     """Put the joint problem together.
 
@@ -96,6 +97,8 @@ def assemble(
         `view`, says.
     find_delays : bool
         Channels may be late, each by a constant time.
+    media : tuple of Medium
+        The air of each session, where there are several; `tdoas` says which emission is of which.
 
     Returns
     -------
@@ -111,7 +114,9 @@ def assemble(
         view.board_to_camera,
         0 if "corners" in hold else n_corners(description.board),
     )
+    start = _in_media(start, media) if media else start
     std = _prior_std(start.blocks, description)
+    std[start.blocks.speed] = [medium.speed_std_m_s() for medium in media or (description.medium,)]
     if reference is not None:
         std[start.blocks.microphone(len(channels))] = reference.position_std_m
     std[start.blocks.delays] = DELAY_STD_S if find_delays else 0.0
@@ -123,6 +128,13 @@ def assemble(
     )
     table = arrival_table(description, view, tdoas, nodes(description, channels))
     return JointProblem(table, None if priors.poses_held else seen, priors), start
+
+
+def _in_media(start: Unknowns, media: tuple[Medium, ...]) -> Unknowns:
+    several = start.for_sessions(len(media))
+    shared = several.shared.copy()
+    shared[several.blocks.speed] = [medium.speed_m_s() for medium in media]
+    return replace(several, shared=shared)
 
 
 def nodes(description: RigDescription, channels: tuple[int, ...]) -> tuple[int, ...]:
@@ -144,7 +156,8 @@ def arrival_table(
     else:
         places = np.ix_(rows, np.array([tdoas.sound.channels.index(channel) for channel in channels]))
         arrival_s, std_s = tdoas.sound.arrival_s[places], np.maximum(tdoas.sound.std_s[places], LEAST_ARRIVAL_STD_S)
-    return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s)
+    session = None if tdoas.session is None else tdoas.session[rows]
+    return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s, session)
 
 
 def emission_rows(view: View, tdoas: EmissionTdoas) -> NDArray[np.intp]:
@@ -159,9 +172,8 @@ def camera_vector(intrinsics: Intrinsics) -> FloatArray:
 
 
 def _prior_std(blocks: Blocks, description: RigDescription) -> FloatArray:
-    board, medium = description.board, description.medium
+    board = description.board
     std = np.full(blocks.size, np.inf)
-    std[blocks.speed] = medium.speed_std_m_s()
     std[blocks.buzzers] = board.buzzer_std_m
     std[blocks.scale] = board.square_size_std_m / board.square_size_m
     std[blocks.camera] = _camera_std(description.camera)

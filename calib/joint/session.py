@@ -29,7 +29,7 @@ from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
 from calib.joint.unknowns import Unknowns
 from calib.settings import Settings
-from rigs.description import Intrinsics, RigDescription
+from rigs.description import Intrinsics, Medium, RigDescription
 from rigs.geometry import Pose
 
 FloatArray = NDArray[np.float64]
@@ -51,6 +51,7 @@ def answer_jointly(
     *,
     before: Continuation | None = None,
     is_last: bool = True,
+    media: tuple[Medium, ...] = (),
 ) -> Answer:
     """Find the microphones along with everything that is not known exactly.
 
@@ -66,14 +67,17 @@ def answer_jointly(
         Where to start; None: from nothing.
     is_last : bool
         Not, where more poses are coming: then nothing is held out.
+    media : tuple of Medium
+        The air of each session, where there are several.
 
     Raises
     ------
     NotEnoughDataError, NotConvergedError
     """
     problem, guess = assemble(
-        description, view, corners, tdoas, channels, hold=settings.hold, find_delays=settings.find_delays
-    )
+        description, view, corners, tdoas, channels,
+        hold=settings.hold, find_delays=settings.find_delays, media=media,
+    )  # fmt: skip
     solution, rival_m = _solved(problem, guess, view, settings, before)
     solution, suspects = find_suspects(solution)
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
@@ -81,13 +85,13 @@ def answer_jointly(
         solution = _with_pairs_that_fit(solution, chosen)
     covariance = shared_covariance(problem, solution.at, solution.weights())
     _check_determined(solution, covariance, len(channels))
-    fitted = _fitted_tdoas(solution, chosen)
+    fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
     at = solution.at
     return Answer(
         microphones_m=at.microphones_m[: len(channels)],
         array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
         speed_of_sound_m_s=at.speed_m_s,
-        speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed][0, 0])),
+        speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed].mean())),
         view=refined_view(view, solution),
         residual=fitted.residual(),
         warnings=[
@@ -100,6 +104,8 @@ def answer_jointly(
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
         weakest=weakest_motion(solution, covariance, len(channels)),
         continuation=Continuation(at, view.pose, solution.scales.arrivals),
+        speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
+        speed_stds_m_s=tuple(np.sqrt(np.diag(covariance)[at.blocks.speed]).tolist()),
     )
 
 
