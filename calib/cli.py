@@ -61,6 +61,9 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 )
 @click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
 @click.option(
+    "--ignore-sync", is_flag=True, help="Joint makes no use of the board's sync output, where a channel recorded it."
+)
+@click.option(
     "--suggest-poses",
     type=click.IntRange(0, 50),
     default=0,
@@ -87,6 +90,7 @@ def command(
     hold: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
+    ignore_sync: bool,
     follow: bool,
     compare: bool,
 ) -> int | None:
@@ -114,7 +118,7 @@ def command(
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
     target = output or _result_path(files)
-    settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
+    settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
     if follow:
         _follow(session, target, settings, overwrite=overwrite)
         return None

@@ -119,7 +119,7 @@ def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> Emission
     tdoa_s = sound.arrival_s[:, columns[:, 1]] - sound.arrival_s[:, columns[:, 0]]
     limit_s = session.description.calibration.max_tdoa_s
     beyond = np.abs(tdoa_s) > limit_s
-    warnings = _channel_warnings(sound) + _emission_warnings(sound)
+    warnings = [*_channel_warnings(sound), *_sync_warnings(session, sound), *_emission_warnings(sound)]
     if beyond.mean() > NOTABLE_SHARE:
         warnings.append(
             f"{beyond.mean():.0%} of the TDOAs lie beyond calibration.max_tdoa_s, {limit_s:g} s: raise it in the rig "
@@ -152,6 +152,14 @@ def _channel_warnings(sound: SoundArrivals) -> list[str]:
         if share > NOTABLE_SHARE
     ]
     return warnings
+
+
+def _sync_warnings(session: Session, sound: SoundArrivals) -> list[str]:
+    """Say when the channel of the sync output does not carry it."""
+    if sound.onset_s is None or np.isfinite(sound.onset_s).mean() > 1 - OFTEN:
+        return []
+    share, channel = np.isfinite(sound.onset_s).mean(), session.description.audio.sync_channel
+    return [f"channel {channel} has the board's sync output in {share:.0%} of the emissions only: check its wire"]
 
 
 def _emission_warnings(sound: SoundArrivals) -> list[str]:

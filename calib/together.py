@@ -117,7 +117,20 @@ def _sound(parts: list[SoundArrivals]) -> SoundArrivals | None:
         np.concatenate([part.std_s for part in parts]),
         Flaws(_shape(arrival_s)),
         np.concatenate([part.quality for part in parts]),
+        *_onsets(parts),
     )
+
+
+def _onsets(parts: list[SoundArrivals]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | tuple[()]:
+    """Return when emissions began and its standard deviation, NaN in sessions without; nothing where none has any."""
+    if all(part.onset_s is None for part in parts):
+        return ()
+    unknown = [np.full(len(part.rows), np.nan) for part in parts]
+    onset_s = [part.onset_s if part.onset_s is not None else none for part, none in zip(parts, unknown, strict=True)]
+    std_s = [
+        part.onset_std_s if part.onset_std_s is not None else none for part, none in zip(parts, unknown, strict=True)
+    ]
+    return np.concatenate(onset_s), np.concatenate(std_s)
 
 
 def _shape(values: NDArray[np.float64]) -> tuple[int, int]:

@@ -127,8 +127,10 @@ class ArrivalTable:
         offsets_s = np.where(self.present, self.arrival_s - flights.times_s, 0.0)
         centred_s = offsets_s - ((weights * offsets_s).sum(axis=1) / total)[:, None]
         pull = weights * centred_s
-        own = np.concatenate([flights.units / at.speed_m_s, np.ones_like(flights.distances_m)[..., None]], axis=2)
-        common = self._common_columns(at, flights)
+        own = np.concatenate(
+            [flights.units / self.speeds_m_s(at)[..., None], np.ones_like(flights.distances_m)[..., None]], axis=2
+        )
+        common = self.common_columns(at, flights)
         common -= np.einsum("en,enk->ek", weights / total[:, None], common)[:, None]
         equations = _Assembly(at, self, weights, total)
         equations.add_own(own, pull)
@@ -146,9 +148,10 @@ class ArrivalTable:
             parts.append(equations.spread(at.blocks.of_session(number), at.blocks.size))
         return reduce(add, parts)
 
-    def _common_columns(self, at: Unknowns, flights: Flights) -> FloatArray:
+    def common_columns(self, at: Unknowns, flights: Flights) -> FloatArray:
         """Return derivatives (n_emissions, n_mics, 10) of the flights by pose (6), buzzer (3) and speed of sound."""
-        by_source = -flights.units / at.speed_m_s
+        speeds_m_s = self.speeds_m_s(at)[..., None]
+        by_source = -flights.units / speeds_m_s
         source_by = np.concatenate(
             [
                 -cross_matrices(flights.arms_m),
@@ -157,7 +160,7 @@ class ArrivalTable:
             ],
             axis=2,
         )
-        by_speed = -flights.distances_m[..., None] / at.speed_m_s**2
+        by_speed = -flights.distances_m[..., None] / speeds_m_s**2
         return np.concatenate([by_source @ source_by, by_speed], axis=2)
 
 
@@ -234,12 +237,16 @@ class _Assembly:
         self._shared[np.ix_(columns, rows)] += values.T
 
     def _by_pose(self, values: FloatArray) -> FloatArray:
-        """Sum values (n_emissions, ...) over the emissions of each pose."""
-        out = np.zeros((self._n_poses, *values.shape[1:]))
-        starts = np.flatnonzero(np.diff(self._table.pose, prepend=-1))
-        if len(starts):
-            out[self._table.pose[starts]] = np.add.reduceat(values, starts, axis=0)
-        return out
+        return sum_by_pose(values, self._table.pose, self._n_poses)
+
+
+def sum_by_pose(values: FloatArray, pose: IndexArray, n_poses: int) -> FloatArray:
+    """Sum values (n_emissions, ...) over the emissions of each pose; emissions are sorted by pose."""
+    out = np.zeros((n_poses, *values.shape[1:]))
+    starts = np.flatnonzero(np.diff(pose, prepend=-1))
+    if len(starts):
+        out[pose[starts]] = np.add.reduceat(values, starts, axis=0)
+    return out
 
 
 def _centres(offsets_s: FloatArray, weights: FloatArray) -> FloatArray:

@@ -134,14 +134,14 @@ def _named_motion(places_m: FloatArray, direction: FloatArray) -> str:
 
 def _unknown_name(solution: JointSolution, place: int) -> str:
     blocks = solution.at.blocks
-    if place < blocks.speed.start:
-        return "a channel's delay"
-    if place < blocks.buzzers.start:
-        return "the speed of sound"
-    if place < blocks.scale.start:
-        return "the buzzers' places"
-    if place < blocks.camera.start:
-        return "the size of the squares"
-    if place >= blocks.corners.start:
-        return "the flatness of the board"
-    return f"the camera's {CAMERA_VALUES[place - blocks.camera.start]}"
+    if blocks.camera.start <= place < blocks.camera.stop:
+        return f"the camera's {CAMERA_VALUES[place - blocks.camera.start]}"
+    names = {
+        "a channel's delay": blocks.delays,
+        "the speed of sound": blocks.speed,
+        "the buzzers' places": blocks.buzzers,
+        "the size of the squares": blocks.scale,
+        "the flatness of the board": blocks.corners,
+        "a buzzer's latency after the sync output": blocks.latencies,
+    }
+    return next(name for name, block in names.items() if block.start <= place < block.stop)

@@ -76,7 +76,7 @@ def answer_jointly(
     """
     problem, guess = assemble(
         description, view, corners, tdoas, channels,
-        hold=settings.hold, find_delays=settings.find_delays, media=media,
+        hold=settings.hold, find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
     )  # fmt: skip
     solution, rival_m = _solved(problem, guess, view, settings, before)
     solution, suspects = find_suspects(solution)

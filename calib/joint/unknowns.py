@@ -30,12 +30,15 @@ class Blocks:
         Of the board, if their places on it are to be found, else 0.
     n_sessions : int
         Each has its own speed of sound and its own delays; all else is shared.
+    n_latencies : int
+        Of buzzers after the sync output, where that is used, else 0.
     """
 
     n_mics: int
     n_buzzers: int
     n_corners: int = 0
     n_sessions: int = 1
+    n_latencies: int = 0
 
     @property
     def microphones(self) -> slice:
@@ -73,9 +76,14 @@ class Blocks:
         return slice(self.camera.stop, self.camera.stop + 3 * self.n_corners)
 
     @property
+    def latencies(self) -> slice:
+        """How late each buzzer sounds after the sync output, seconds, session by session."""
+        return slice(self.corners.stop, self.corners.stop + self.n_latencies)
+
+    @property
     def size(self) -> int:
         """Length of the vector."""
-        return int(self.corners.stop)
+        return int(self.latencies.stop)
 
     def of_session(self, number: int) -> NDArray[np.intp]:
         """Return where the unknowns of one session stand, in the order of a vector of that session alone."""
@@ -191,6 +199,11 @@ class Unknowns:
             self.shared[self.blocks.buzzers.start :],
         ]
         return replace(self, blocks=replace(self.blocks, n_sessions=n_sessions), shared=np.concatenate(shared))
+
+    def with_latencies(self, n_latencies: int) -> Unknowns:
+        """Return the values with latencies of buzzers, all 0."""
+        blocks = replace(self.blocks, n_latencies=n_latencies)
+        return replace(self, blocks=blocks, shared=np.append(self.shared, np.zeros(n_latencies)))
 
     def of_session(self, number: int) -> Unknowns:
         """Return the unknowns as those of one session; all poses stay."""
