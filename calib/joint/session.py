@@ -14,7 +14,7 @@ from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.errors import NotEnoughDataError
 from calib.fit import FittedTdoas, robust_sigma
-from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.assemble import PairTdoas, assemble, emission_rows, nodes, pair_tdoas
 from calib.joint.continuation import Continuation
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import Suggestion, suggest_poses
@@ -28,6 +28,7 @@ from calib.joint.suspicion import suspect_doubts
 from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
 from calib.joint.unknowns import Unknowns
+from calib.rejections import Rejection, solve_rejections
 from calib.settings import Settings
 from rigs.description import Intrinsics, Medium, RigDescription
 from rigs.geometry import Pose
@@ -102,6 +103,10 @@ def answer_jointly(
         ],
         held_out=hold_out(solution, chosen) if is_last else None,
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
+        rejections=[
+            *_poses_without_place(view, corners, tdoas),
+            *solve_rejections(solution, tdoas, emission_rows(view, tdoas), nodes(description, channels)),
+        ],
         weakest=weakest_motion(solution, covariance, len(channels)),
         continuation=Continuation(at, view.pose, solution.scales.arrivals),
         speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
@@ -149,6 +154,13 @@ def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: i
             f"{far_m:.1f} m away, with boards tilted by {most:.0f} and {least:.0f} degrees: capture more poses, "
             "tilted by 30 degrees both ways about both axes and at several distances"
         )
+
+
+def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:
+    lost = np.setdiff1d(corners.pose, view.pose).tolist()
+    return [
+        Rejection("pose", "no place of the board fits its corners", tdoas.pose_names.get(pose, pose)) for pose in lost
+    ]
 
 
 def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[Suggestion]:
