@@ -14,8 +14,9 @@ from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.errors import NotEnoughDataError
 from calib.fit import FittedTdoas, robust_sigma
-from calib.joint.assemble import PairTdoas, assemble, emission_rows, nodes, pair_tdoas
+from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
 from calib.joint.continuation import Continuation
+from calib.joint.contradictions import check_held_intrinsics, check_suspects
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import Suggestion, suggest_poses
 from calib.joint.observability import board_tilts_deg, observability_doubts, weakest_motion
@@ -80,7 +81,10 @@ def answer_jointly(
         hold=settings.hold, find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
     )  # fmt: skip
     solution, rival_m = _solved(problem, guess, view, settings, before)
+    check_held_intrinsics(solution, camera_std(description.camera))
     solution, suspects = find_suspects(solution)
+    doubts = suspect_doubts(suspects, solution, description, channels)
+    check_suspects(suspects, doubts)
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
     if chosen.alone:
         solution = _with_pairs_that_fit(solution, chosen)
@@ -97,7 +101,7 @@ def answer_jointly(
         residual=fitted.residual(),
         warnings=[
             *_rival_doubts(at.microphones_m, rival_m, channels),
-            *suspect_doubts(suspects, solution, description, channels),
+            *doubts,
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
         ],
