@@ -11,6 +11,7 @@ from calib.camera import View
 from calib.joint.continuation import Continuation
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
+from calib.rejections import Rejection
 from calib.result import HeldOut, Residual
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +36,8 @@ class Answer:
     held_out : HeldOut or None
     suggestions : list of Suggestion
         Further board positions that would help most, the best first.
+    rejections : list of Rejection
+        What the solve left out.
     weakest : Weakest or None
         How the array is known worst.
     continuation : Continuation or None
@@ -52,6 +55,7 @@ class Answer:
     warnings: list[str] = field(default_factory=list)
     held_out: HeldOut | None = None
     suggestions: list[Suggestion] = field(default_factory=list)
+    rejections: list[Rejection] = field(default_factory=list)
     weakest: Weakest | None = None
     continuation: Continuation | None = None
     speeds_m_s: tuple[float, ...] = ()

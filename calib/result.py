@@ -17,6 +17,7 @@ from calib.evaluation import Evaluation
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
+from calib.rejections import KINDS, Rejection
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
@@ -98,6 +99,8 @@ class Calibration:
         Further board positions that would help most, the best first.
     weakest : Weakest or None
         How the array is known worst; None for the paper's methods.
+    rejections : tuple of Rejection
+        What the result does not rest on, and why.
     sessions : tuple of SessionShare
         Where it was made from several; the speed of sound is then their mean.
     """
@@ -118,6 +121,7 @@ class Calibration:
     held_out: HeldOut | None = None
     suggestions: tuple[Suggestion, ...] = ()
     weakest: Weakest | None = None
+    rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
 
     @property
@@ -189,6 +193,11 @@ def as_document(result: Calibration) -> dict[str, Any]:
         document["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
     if result.sound is not None:
         document["sound"] = result.sound
+    if result.rejections:
+        document["rejected"] = {
+            f"{kind}s": [rejection.document() for rejection in result.rejections if rejection.kind == kind]
+            for kind in KINDS
+        }
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
     document["array_covariance_m2"] = [[float(f"{value:.9g}") for value in row] for row in result.array_covariance_m2]
