@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from pyroomacoustics.experimental import tdoa as pra_tdoa
@@ -24,7 +25,7 @@ from room_sound import RATE_HZ, RoomSound, Scenario, make_room_sound, write_room
 from calib.consistency import agree
 from calib.emissions import measure_tdoas
 from calib.gcc import PairCorrelator, joined
-from calib.sound import find_arrivals
+from calib.sound import TdoaMode, find_arrivals
 from rigs.session.reader import Session
 
 PAIRS = np.array(list(combinations(range(8), 2)), dtype=np.int32)
@@ -63,7 +64,7 @@ def row(method: str, made: RoomSound, tdoa_s: np.ndarray) -> None:
     )
 
 
-def ours(made: RoomSound, mode: str) -> np.ndarray:
+def ours(made: RoomSound, mode: TdoaMode) -> np.ndarray:
     with (
         tempfile.TemporaryDirectory() as folder,
         Session.open(write_room_session(Path(folder) / "s.h5", made)) as session,
@@ -119,7 +120,7 @@ def speed() -> None:
     print("\n414 emissions x 8 channels x 0.5 s at 48 kHz, all 28 pairs; the peer 16-fold, ours finer; one thread each")
     made = make_room_sound(Scenario(n_poses=3, seed=5, max_order=10))
     with session_of(made) as session:
-        long = LongSession(session, made, 414 // len(made.pose))
+        long = long_session(session, made, 414 // len(made.pose))
     rows = np.arange(len(long.emissions))
     sound = np.array([long.audio(first - 8000, RATE_HZ // 2).T for first in long.emissions["expected_sample"]])
     noise = np.full((8, RATE_HZ // 4 + 1), made.sound[:4800].var() * RATE_HZ / 2)
@@ -133,7 +134,7 @@ def speed() -> None:
         for i, j in PAIRS[:12]:
             pra_tdoa(sound[0, j], sound[0, i], interp=16, fs=RATE_HZ)
 
-    jobs = {
+    jobs: dict[str, Callable[[], object]] = {
         "pyroomacoustics tdoa, pair by pair": a_few_pairs,
         "rig-calibrate, gcc-phat, from the session": lambda: find_arrivals(long, rows, "gcc-phat"),
         "rig-calibrate, matched, from the session": lambda: find_arrivals(long, rows, "matched"),
@@ -147,7 +148,7 @@ def speed() -> None:
         print(f"  {name:44}{wall:>7.2f} s{theirs[0] / wall:>9.1f}{processor:>10.2f} s{theirs[1] / processor:>9.1f}")
 
 
-def best_of_rounds(jobs: dict[str, Callable[[], None]], n_rounds: int) -> dict[str, np.ndarray]:
+def best_of_rounds(jobs: dict[str, Callable[[], object]], n_rounds: int) -> dict[str, np.ndarray]:
     """Return the shortest wall and processor time of each job; they take turns, so that all meet the same load."""
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in jobs}
     for _ in range(n_rounds):
@@ -176,6 +177,11 @@ class LongSession:
         return np.concatenate(parts)
 
 
+def long_session(session: Session, made: RoomSound, n_tiles: int) -> Session:
+    """Return a `LongSession` for functions that want a session; it has all that those which find arrivals look at."""
+    return cast(Session, LongSession(session, made, n_tiles))
+
+
 @contextmanager
 def session_of(made: RoomSound) -> Iterator[Session]:
     with tempfile.TemporaryDirectory() as folder:
@@ -190,7 +196,7 @@ def memory() -> None:
         tempfile.TemporaryDirectory() as folder,
         Session.open(write_room_session(Path(folder) / "s.h5", made)) as session,
     ):
-        long = LongSession(session, made, 3600 * RATE_HZ // len(made.sound))
+        long = long_session(session, made, 3600 * RATE_HZ // len(made.sound))
     begin = time.perf_counter()
     sound = find_arrivals(long, np.arange(len(long.emissions)), "matched")
     status = Path("/proc/self/status").read_text()  # getrusage would tell the parent's peak
