@@ -16,6 +16,11 @@ def session_file(_context: object, _parameter: object, path: Path) -> Path:
     return named if named.is_file() and not path.exists() else path
 
 
+def session_files(context: object, parameter: object, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return several sessions' files, as `session_file` does."""
+    return tuple(session_file(context, parameter, path) for path in paths)
+
+
 def check_target(path: Path, *, replaces: Literal["session", "calibration"] | None = None) -> None:
     """Refuse a target before any work is done for it.
 

@@ -176,7 +176,7 @@ def test_the_screen_says_what_was_left_out(tmp_path, simulated_description, caps
     said = capsys.readouterr().out
     assert "joint, speed held" in said
     assert "held, known to +-" in said
-    assert "11 poses of 12 accepted" in said
+    assert "11 poses, corners" in said
 
 
 def test_a_folder_is_refused(tmp_path, monkeypatch, capsys):

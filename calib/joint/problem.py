@@ -11,6 +11,7 @@ from calib.joint.arrivals import ArrivalTable
 from calib.joint.corners import CornerTable
 from calib.joint.equations import NormalEquations
 from calib.joint.held import CornerFit
+from calib.joint.onsets import OnsetTable
 from calib.joint.unknowns import Unknowns
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Priors:
         known = self.free & np.isfinite(self.std)
         return np.where(known, 1 / np.where(known, self.std, 1.0) ** 2, 0.0)
 
-    def with_std(self, where: slice | BoolArray, std: float) -> Priors:
+    def with_std(self, where: slice | BoolArray, std: float | FloatArray) -> Priors:
         """Return the priors with another standard deviation of some unknowns, which are held no longer."""
         changed, held = self.std.copy(), np.broadcast_to(self.held, self.std.shape).copy()
         changed[where], held[where] = std, False
@@ -57,10 +58,14 @@ class Priors:
 
 @dataclass(frozen=True)
 class Weights:
-    """How much measurements count: arrivals (n_emissions, n_mics) in 1/s^2, corners (n_poses, n_corners) in 1/px^2."""
+    """How much measurements count: arrivals (n_emissions, n_mics) in 1/s^2, corners (n_poses, n_corners) in 1/px^2.
+
+    Onsets (n_emissions,) in 1/s^2; None: as far as they fit.
+    """
 
     arrivals: FloatArray
     corners: FloatArray
+    onsets: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,8 @@ class JointProblem:
     corners : CornerTable or None
         None where the poses are held.
     priors : Priors
+    onsets : OnsetTable or None
+        None where nothing tells when emissions began.
     fit : CornerFit or None
         What intrinsics or poses are held at, where corners alone said it.
     """
@@ -80,6 +87,7 @@ class JointProblem:
     arrivals: ArrivalTable
     corners: CornerTable | None
     priors: Priors
+    onsets: OnsetTable | None = None
     fit: CornerFit | None = None
 
     def stated_weights(self) -> Weights:
@@ -90,17 +98,32 @@ class JointProblem:
 
     def only(self, poses: BoolArray) -> JointProblem:
         """Return the problem of some of the poses (n_poses,)."""
-        arrivals = self.arrivals.only(poses[self.arrivals.pose])
+        emissions = poses[self.arrivals.pose]
         numbers = np.cumsum(poses) - 1
-        arrivals = replace(arrivals, pose=numbers[arrivals.pose])
-        corners, fit = None if self.corners is None else self.corners.only(poses), self.fit
-        return replace(self, arrivals=arrivals, corners=corners, fit=None if fit is None else fit.only(poses))
+        arrivals = self.arrivals.only(emissions)
+        return replace(
+            self,
+            arrivals=replace(arrivals, pose=numbers[arrivals.pose]),
+            corners=None if self.corners is None else self.corners.only(poses),
+            onsets=None if self.onsets is None else self.onsets.only(emissions),
+            fit=None if self.fit is None else self.fit.only(poses),
+        )
+
+    def with_onset_weights(self, weights: Weights, at: Unknowns) -> Weights:
+        """Return the weights with those of the onsets as far as they fit, so that they stay while a step is sought."""
+        if self.onsets is None or weights.onsets is not None:
+            return weights
+        return replace(weights, onsets=self.onsets.weights(self.arrivals, at, weights.arrivals))
 
     def normal_equations(self, at: Unknowns, weights: Weights) -> NormalEquations:
         """Linearise at some values; the equations of all unknowns, held ones too."""
         equations = self.arrivals.normal_equations(at, weights.arrivals)
         if self.corners is not None:
             equations = equations + self.corners.normal_equations(at, weights.corners)
+        if self.onsets is not None:
+            own = self.with_onset_weights(weights, at).onsets
+            assert own is not None
+            equations = equations + self.onsets.normal_equations(self.arrivals, at, weights.arrivals, own)
         information, deviation = self.priors.information, self.priors.mean - at.shared
         return replace(
             equations,

@@ -59,7 +59,7 @@ def _deviations(free: JointSolution, variance: FloatArray, exact: NDArray[np.boo
 
 def _told(solution: JointSolution, where: slice) -> str:
     blocks, values = solution.at.blocks, solution.at.shared[where]
-    if where == blocks.speed:
+    if blocks.speed.start <= where.start < blocks.speed.stop:
         return f"{values[0]:.1f} m/s"
     if where == blocks.scale:
         return f"{100 * values[0]:.2f} % of its description"
@@ -71,8 +71,9 @@ def _told(solution: JointSolution, where: slice) -> str:
 def _values(blocks: Blocks) -> list[tuple[str, slice, str, str]]:
     """Return names and places of values that may be held, their block, and what to check."""
     focal = slice(blocks.camera.start, blocks.camera.start + 2)
+    speeds = np.arange(blocks.size)[blocks.speed]
     return [
-        ("the speed of sound", blocks.speed, "speed", "medium"),
+        *(("the speed of sound", slice(n, n + 1), "speed", "medium") for n in speeds),
         *((f"buzzer {n + 1}", blocks.buzzer(n), "buzzers", "board.buzzers") for n in range(blocks.n_buzzers)),
         ("the squares' size", blocks.scale, "scale", "board.square_size_m"),
         ("the focal length", focal, "intrinsics", "camera.intrinsics"),
