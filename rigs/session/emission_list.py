@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -16,10 +15,10 @@ _HEADINGS = ("emission", "pose", "buzzer", "attempt", "at, s", "onset, ms")
 
 def print_emissions(session: Session, console: Console) -> None:
     """Print a line for each row of the session's table, numbered from 0 as `rig-calibrate --inspect-tdoa` takes it."""
-    table = Table(box=box.SIMPLE_HEAD)
+    table = Table(box=None, padding=(0, 2, 0, 0))  # 77 columns, so that no line is broken
     for heading in _HEADINGS:
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("counts")
+    table.add_column("counts", no_wrap=True)
     for row in emission_rows(session):
         table.add_row(*row)
     console.print(table)
