@@ -12,16 +12,17 @@ from calib.camera import View
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
-from calib.errors import NotEnoughDataError
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
+from calib.joint.bias import without_bias
 from calib.joint.continuation import Continuation
 from calib.joint.contradictions import check_held_intrinsics, check_suspects
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import Suggestion, suggest_poses
-from calib.joint.observability import board_tilts_deg, observability_doubts, weakest_motion
+from calib.joint.observability import observability_doubts, weakest_motion
 from calib.joint.pairs import arrivals_that_agree
 from calib.joint.problem import JointProblem
+from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
@@ -37,9 +38,8 @@ from rigs.geometry import Pose
 FloatArray = NDArray[np.float64]
 
 PAIR_SIGMAS = 4.5
-MAX_STD_M = 0.05  # of the microphones, root mean square: more is no answer
+BIASED_STD_M = 0.005  # of the microphones, root mean square: below, the bias is nothing beside it
 WORSE = 2.0  # times the scatter of an earlier solve: then that was in a wrong place
-MAX_REACH_M = 10.0  # a microphone further off is a fit at infinity
 
 
 @on_one_thread
@@ -88,8 +88,11 @@ def answer_jointly(
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
     if chosen.alone:
         solution = _with_pairs_that_fit(solution, chosen)
+    problem = solution.problem
     covariance = shared_covariance(problem, solution.at, solution.weights())
-    _check_determined(solution, covariance, len(channels))
+    check_determined(solution, covariance, len(channels))
+    if problem.onsets is None and microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
+        solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
     fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
     at = solution.at
     return Answer(
@@ -140,24 +143,6 @@ def refined_view(view: View, solution: JointSolution) -> View:
     poses = [Pose(rotation, place) for rotation, place in zip(at.rotations, at.translations_m, strict=True)]
     rms_px = float(np.sqrt(np.nanmean(np.sum(corners.residuals_px(at) ** 2, axis=2))))
     return View(intrinsics, view.source, view.pose, poses, rms_px)
-
-
-def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: int) -> None:
-    """Refuse an answer that is none: a clear statement is worth more than wild places.
-
-    Raises
-    ------
-    NotEnoughDataError
-    """
-    rms_m = microphone_rms_m(covariance, n_mics)
-    far_m = float(np.abs(solution.at.microphones_m[:n_mics]).max())
-    if rms_m > MAX_STD_M or far_m > MAX_REACH_M:
-        most, least = board_tilts_deg(solution.at.rotations)
-        raise NotEnoughDataError(
-            f"the session does not place the microphones: they are uncertain by {1e3 * rms_m:.0f} mm and up to "
-            f"{far_m:.1f} m away, with boards tilted by {most:.0f} and {least:.0f} degrees: capture more poses, "
-            "tilted by 30 degrees both ways about both axes and at several distances"
-        )
 
 
 def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:
