@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from acquire.devices.base import Frame
 from acquire.emissions import ChannelFaults, Emissions
 from acquire.errors import CaptureQualityError, DeviceLostError
+from acquire.holdups import Cause
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.resume import Resumption
@@ -194,7 +195,8 @@ class Poses:
         between, last = film.end(), self._recording.look()
         film.keep(last)
         for frame in (*between, last):
-            corners_px = find_corners(frame.image, self._board)
+            corners_px = self._found(frame)
+            self._recording.listen()
             moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)
             if not moved_px < self._limits.still_px:
                 what = "was lost from sight" if corners_px is None else f"moved by {moved_px:.1f} px"
@@ -207,7 +209,11 @@ class Poses:
 
     def _look(self) -> tuple[Frame, FloatArray | None]:
         frame = self._recording.look()
-        return frame, find_corners(frame.image, self._board)
+        return frame, self._found(frame)
+
+    def _found(self, frame: Frame) -> FloatArray | None:
+        with self._recording.holdups.during(Cause.PICTURES):
+            return find_corners(frame.image, self._board)
 
     def _show(self, sight: Sight, figure_px: float) -> None:
         found = sight in (Sight.MOVING, Sight.SETTLING, Sight.BLURRED, Sight.STILL)
