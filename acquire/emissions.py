@@ -15,6 +15,7 @@ from acquire.errors import DeviceLostError, DeviceRestartedError, losing
 from acquire.latency import WIDE_WINDOW_S
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
+from acquire.soundtrack import VOID
 from acquire.status import State
 from rigs.description import RigDescription
 
@@ -229,6 +230,7 @@ class Emissions:
             self._recording.say("warning", f"{place}: {what}; firing it again")
             return
         remedy = "check its cable and plug" if what == "not heard" else "keep the room quiet and nothing else playing"
+        remedy = VOID if self._recording.sound.is_void else remedy
         self._recording.say(
             "warning", f"{place}: {what}, {self._limits.retries + 1} times: {remedy}; going on without it"
         )

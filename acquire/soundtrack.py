@@ -24,6 +24,11 @@ _FIRST_BLOCK_S = 2.0
 _COMPLAIN_S = 30.0
 _SLOW_SETTLING_S = 5.0  # stamps that are good from the first one are known to be after 3 s
 _SETTLING_S = 15.0
+_VOID_S = 2.0  # microphones always deliver some noise
+VOID = (
+    "all microphones deliver digital silence: unmute the sound device, switch on its phantom power, or correct "
+    "audio.device and audio.channels"
+)
 
 
 class Soundtrack:
@@ -61,6 +66,8 @@ class Soundtrack:
         self._writer, self._clocks, self._status, self._say = writer, clocks, status, say
         self._holdups, self.losses = holdups, Losses(say)
         self._sample_rate_hz = float(description.audio.sample_rate_hz)
+        self._n_microphones = len(description.audio.microphone_channels())
+        self._void_s, self._is_void_told = 0.0, False
         signal = description.signal
         self._keep_samples = round((2 * signal.gap_s + signal.waveform().duration_s + 3) * self._sample_rate_hz)
         self._blocks: deque[tuple[int, NDArray[np.float32]]] = deque()
@@ -82,8 +89,14 @@ class Soundtrack:
             self._note_backlog(blocks)
         for block in blocks:
             self._store(block)
+        self._note_void()
         self.losses.pass_over(self._writer.n_samples / self._sample_rate_hz)
         self._check_mute()
+
+    @property
+    def is_void(self) -> bool:
+        """No microphone has delivered anything but zeros for a while."""
+        return self._void_s > _VOID_S
 
     def is_ready(self) -> bool:
         """Tell whether sound can be placed: its stamps have settled since the device was opened, or never do."""
@@ -139,8 +152,15 @@ class Soundtrack:
                 first_sample / self._sample_rate_hz, lost_s, _why_lost(block.flags, step_s, was_gone=was_gone)
             )
         self._heard_s, self._mute_s = self._clock.now_s(), _MUTE_S
+        has_sound = bool(block.samples[:, : self._n_microphones].any())
+        self._void_s = 0.0 if has_sound else self._void_s + len(block.samples) / self._sample_rate_hz
         self._status.hear(block.samples, len(block.samples) / self._sample_rate_hz)
         self._hold(first_sample, block.samples)
+
+    def _note_void(self) -> None:
+        if self.is_void and not self._is_void_told:
+            self._say("warning", VOID)
+        self._is_void_told = self.is_void
 
     def _hold(self, first_sample: int, samples: NDArray[np.float32]) -> None:
         self._blocks.append((first_sample, samples))

@@ -274,3 +274,10 @@ def test_signal_to_noise_ratio_and_level_follow_the_room(tmp_path):
     assert quiet.snr_db - loud.snr_db == pytest.approx(20, abs=1.5)  # the noise is drawn anew
     assert loud.noise_dbfs - quiet.noise_dbfs == pytest.approx(20, abs=0.2)
     assert quiet.level_dbfs == pytest.approx(loud.level_dbfs, abs=0.2)
+
+
+def test_digital_silence_on_all_microphones_is_named(tmp_path):
+    dead = [{"kind": "dead_channel", "channel": channel} for channel in range(1, 9)]
+    rows, _ = checked(tmp_path, small_description(simulation={"faults": dead}))
+    [row] = [row for row in rows if row.state is State.BAD]
+    assert (row.subject, row.finding) == ("microphones", "all deliver digital silence")
