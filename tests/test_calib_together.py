@@ -19,7 +19,7 @@ from calib.joint.problem import Weights
 from calib.joint.session import answer_jointly
 from calib.joint.uncertainty import shared_covariance
 from calib.settings import Settings
-from calib.together import Measured, check_one_rig, put_together
+from calib.together import Measured, check_joinable, check_one_rig, put_together
 from calib.unmoved import check_unmoved
 from rigs.board import board_corners_m
 from rigs.command import run
@@ -160,7 +160,7 @@ def test_sessions_of_two_rigs_are_refused(part, changes):
     with pytest.raises(MethodError, match=f"not of one rig: {part} differs"):
         check_one_rig([measured(rig, "a"), measured(replace(rig, description=other), "b")])
     with pytest.raises(MethodError, match="the same session"):
-        check_one_rig([measured(rig, "a"), measured(rig, "a")])
+        check_joinable([measured(rig, "a"), measured(rig, "a")])
 
 
 def test_poses_keep_their_names():
