@@ -205,10 +205,15 @@ def test_a_flood_of_losses_is_one_line_that_says_how_much_is_missing_and_one_for
 
 def test_what_sound_waits_for_is_told(tmp_path):
     rig = choose_devices(small_rig().description)
-    holdups = HoldUps(rig.clock)
+    worked_s = 0.0
+    holdups = HoldUps(rig.clock, lambda: worked_s)
     assert holdups.blame() is Cause.COMPUTER
     with holdups.during(Cause.PICTURES):
         rig.clock.sleep_s(2.0)
+    assert holdups.blame() is Cause.COMPUTER  # it stood still
+    with holdups.during(Cause.PICTURES):
+        rig.clock.sleep_s(2.0)
+        worked_s = 1.9
     with holdups.during(Cause.DISK):
         rig.clock.sleep_s(1.0)
     assert holdups.blame() is Cause.PICTURES
