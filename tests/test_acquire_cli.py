@@ -79,6 +79,13 @@ def test_a_name_that_cannot_be_shown_is_refused_in_one_line(tmp_path, monkeypatc
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", [".", "..", "", "/"])
+@pytest.mark.parametrize("arguments", [[], ["--resume"]])
+def test_a_folder_is_no_session(capsys, name, arguments):
+    assert rig_capture("--session", name, *arguments) == 2
+    assert "a folder, not a file: name a file" in capsys.readouterr().err
+
+
 def test_channels_at_fault_until_the_end_are_named_last(tmp_path, rig_file, capsys):
     rig = rig_file(simulation={"faults": [{"kind": "dead_channel", "channel": 3}]})
     assert rig_capture("--session", tmp_path / "s1", "--rig", rig, "--poses", 1) == 0
