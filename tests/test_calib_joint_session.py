@@ -109,7 +109,7 @@ def test_the_next_pose_helps_as_much_as_is_said():
 def test_suggestions_are_sentences():
     answer = answered(make_rig(0), suggest_poses=2)
     assert len(answer.suggestions) == 2
-    assert all("board centre at x" in suggestion for suggestion in answer.suggestions)
+    assert all("board centre at x" in suggestion.sentence() for suggestion in answer.suggestions)
 
 
 def test_suspects_are_told_in_words():
@@ -153,7 +153,10 @@ def test_what_is_let_go_of_is_known_less():
     rig = make_rig(0)
     late = answered(replace(rig, arrival_s=rig.arrival_s + 2e-4 * (np.arange(8) == 4)))
     on_time = answered(rig)
-    assert np.trace(late.covariance_m2[4]) > 1.2 * np.trace(on_time.covariance_m2[4])
+    fourth = slice(12, 15)
+    assert np.trace(late.array_covariance_m2[fourth, fourth]) > 1.2 * np.trace(
+        on_time.array_covariance_m2[fourth, fourth]
+    )
 
 
 def test_an_array_in_a_plane_is_found():

@@ -30,6 +30,7 @@ class Descent:
 def descend(problem: JointProblem, start: Unknowns, weights: Weights, max_iterations: int = MAX_ITERATIONS) -> Descent:
     """Minimise the weighted sum of squares (Marquardt's scaling, doi:10.1137/0111030)."""
     at, damping = start, FIRST_DAMPING
+    weights = problem.with_onset_weights(weights, start)
     equations = problem.free_equations(at, weights)
     for iteration in range(1, max_iterations + 1):
         try:
