@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import View
+from calib.evidence import Evidence
 from calib.result import HeldOut, Residual
 
 FloatArray = NDArray[np.float64]
@@ -30,6 +31,8 @@ class Answer:
     held_out : HeldOut or None
     suggestions : list of str
         Further board positions that would help most, the best first.
+    evidence : Evidence or None
+        Residuals of all measurements.
     """
 
     microphones_m: FloatArray
@@ -41,3 +44,4 @@ class Answer:
     warnings: list[str] = field(default_factory=list)
     held_out: HeldOut | None = None
     suggestions: list[str] = field(default_factory=list)
+    evidence: Evidence | None = None

@@ -16,7 +16,7 @@ from calib.joint.session import answer_jointly
 from calib.measurements import Measurements
 from calib.methods import check_heard, microphone_channels
 from calib.order import order_doubts
-from calib.result import Calibration
+from calib.result import Calibration, Recording
 from calib.settings import Settings
 from calib.sound_report import sound_report
 from rigs.description import RigDescription
@@ -59,6 +59,8 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         evaluation=_evaluation(session, channels, answer),
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
+        recording=Recording(session.sample_rate_hz, session.channels, description.camera.size_px),
+        evidence=answer.evidence,
         sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
         warnings=[
             *session_doubts(session),

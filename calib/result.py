@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.evidence import Evidence
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
@@ -55,6 +56,24 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """What tools that read the session beside the result need to know of it.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+    channels : tuple of int
+        Input channel of each column of `time_data`.
+    picture_size_px : (int, int)
+        Width and height.
+    """
+
+    sample_rate_hz: float
+    channels: tuple[int, ...]
+    picture_size_px: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Microphones in the camera frame.
 
@@ -81,6 +100,10 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of str
         Further board positions that would help most, the best first.
+    recording : Recording or None
+        How the session was recorded.
+    evidence : Evidence or None
+        Residuals of all measurements, for the report; the YAML file leaves them out.
     """
 
     session_name: str
@@ -98,6 +121,8 @@ class Calibration:
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
     suggestions: tuple[str, ...] = ()
+    recording: Recording | None = None
+    evidence: Evidence | None = None
 
     @property
     def std_m(self) -> FloatArray:
@@ -146,6 +171,12 @@ def as_document(result: Calibration) -> dict[str, Any]:
     }
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
+    if result.recording is not None:
+        document["recording"] = {
+            "sample_rate_hz": float(result.recording.sample_rate_hz),
+            "channels": list(result.recording.channels),
+            "picture_size_px": list(result.recording.picture_size_px),
+        }
     if result.suggestions:
         document["suggested_poses"] = list(result.suggestions)
     if result.sound is not None:

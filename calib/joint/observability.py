@@ -38,6 +38,30 @@ def observability_doubts(
     ]
 
 
+def weakest_motion(solution: JointSolution, covariance: FloatArray, n_mics: int) -> tuple[str, float]:
+    """Name the motion of the array that is known worst and the unknown that goes along, with how well it is known.
+
+    Returns
+    -------
+    The words, and the root mean square of the motion over the microphones, in metres (one standard deviation).
+    """
+    among = covariance[: 3 * n_mics, : 3 * n_mics]
+    values, vectors = np.linalg.eigh(among)
+    rms_m = float(np.sqrt(values[-1] / n_mics))
+    motion = _named_motion(solution.at.microphones_m[:n_mics], vectors[:, -1])
+    along = covariance[:, : 3 * n_mics] @ vectors[:, -1] / np.sqrt(values[-1])
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    tied = np.where(np.diag(covariance) > 0, np.abs(along) / std, 0.0)
+    tied[solution.at.blocks.microphones] = 0.0
+    worst = int(np.argmax(tied))
+    goes_along = f", along with {_unknown_name(solution, worst)}" if tied[worst] > CORRELATED else ""
+    return f"the array is known worst in {motion}: {1e3 * rms_m:{_digits(rms_m)}} mm per microphone{goes_along}", rms_m
+
+
+def _digits(rms_m: float) -> str:
+    return ".1f" if rms_m >= LARGE_STD_M else ".2g"
+
+
 def _tilt_doubts(rotations: FloatArray) -> list[str]:
     little = board_tilts_deg(rotations)[1]
     if little >= LITTLE_TILT_DEG:
@@ -64,20 +88,8 @@ def _focal_doubts(solution: JointSolution, camera: Camera) -> list[str]:
 
 
 def _weakest_doubts(solution: JointSolution, covariance: FloatArray, n_mics: int) -> list[str]:
-    """Name the motion of the array that is known worst, and the unknown that goes along with it."""
-    among = covariance[: 3 * n_mics, : 3 * n_mics]
-    values, vectors = np.linalg.eigh(among)
-    rms_m = float(np.sqrt(values[-1] / n_mics))
-    if rms_m < LARGE_STD_M:
-        return []
-    motion = _named_motion(solution.at.microphones_m[:n_mics], vectors[:, -1])
-    along = covariance[:, : 3 * n_mics] @ vectors[:, -1] / np.sqrt(values[-1])
-    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    tied = np.where(np.diag(covariance) > 0, np.abs(along) / std, 0.0)
-    tied[solution.at.blocks.microphones] = 0.0
-    worst = int(np.argmax(tied))
-    goes_along = f", along with {_unknown_name(solution, worst)}" if tied[worst] > CORRELATED else ""
-    return [f"the array is known worst in {motion}: {1e3 * rms_m:.1f} mm per microphone{goes_along}"]
+    words, rms_m = weakest_motion(solution, covariance, n_mics)
+    return [words] if rms_m >= LARGE_STD_M else []
 
 
 def _named_motion(places_m: FloatArray, direction: FloatArray) -> str:

@@ -13,11 +13,12 @@ from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.errors import NotEnoughDataError
+from calib.evidence import Evidence
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import suggest_poses
-from calib.joint.observability import board_tilts_deg, observability_doubts
+from calib.joint.observability import board_tilts_deg, observability_doubts, weakest_motion
 from calib.joint.pairs import arrivals_that_agree
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
@@ -76,6 +77,13 @@ def answer_jointly(
         ],
         held_out=hold_out(solution, chosen),
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
+        evidence=_evidence(
+            solution,
+            chosen,
+            corners.only(np.isin(corners.pose, view.pose)),
+            len(channels),
+            weakest_motion(solution, covariance, len(channels))[0],
+        ),
     )
 
 
@@ -89,6 +97,21 @@ def refined_view(view: View, solution: JointSolution) -> View:
     poses = [Pose(rotation, place) for rotation, place in zip(at.rotations, at.translations_m, strict=True)]
     rms_px = float(np.sqrt(np.nanmean(np.sum(corners.residuals_px(at) ** 2, axis=2))))
     return View(intrinsics, view.source, view.pose, poses, rms_px)
+
+
+def _evidence(solution: JointSolution, chosen: PairTdoas, corners: PoseCorners, n_mics: int, weakest: str) -> Evidence:
+    at, table = solution.at, solution.problem.corners
+    seen_px = corners.corners_px
+    return Evidence(
+        pose=chosen.pose,
+        buzzer=chosen.buzzer,
+        residuals_s=solution.residuals_s()[:, :n_mics],
+        used=solution.used_arrivals[:, :n_mics],
+        distances_m=solution.problem.arrivals.flights(at).distances_m[:, :n_mics],
+        corners_px=seen_px,
+        corner_residuals_px=np.full_like(seen_px, np.nan) if table is None else table.residuals_px(at),
+        weakest=weakest,
+    )
 
 
 def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: int) -> None:
