@@ -25,7 +25,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 demo: setup
-	@rm -f demo.h5 demo.calib.yaml demo.arrivals.npz
+	@rm -f demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz
 	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
 	$(BIN)/rig-calibrate demo.h5
 
@@ -63,4 +63,4 @@ lock:
 	    --extra aislab --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz
+	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz

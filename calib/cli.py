@@ -62,6 +62,14 @@ BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
     metavar="N",
     help="Say which N board positions would help most.",
 )
+@click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
+@click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
+@click.option(
+    "--export",
+    metavar="NAMES",
+    help="Write files for other tools: all, or some of acoular,pyroomacoustics,odas,ros2,urdf,kalibr,matlab,csv,json. "
+    "With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
+)
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
     session: Path,
@@ -76,15 +84,20 @@ def command(
     hold: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
+    report: bool,
+    plots: str | None,
+    export: str | None,
 ) -> None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
-    Writes SESSION.calib.yaml beside the session, which itself is never changed. Exit codes: 0 good, 2 usage,
-    5 data missing, damaged or not good enough, 130 interrupted.
+    Writes SESSION.calib.yaml and SESSION.report.html beside the session, which itself is never changed. Exit codes:
+    0 good, 2 usage, 5 data missing, damaged or not good enough, 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
+    from calib.export.formats import chosen_formats
     from calib.pipeline import calibrate
+    from calib.publication import Publication
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from calib.settings import Settings
@@ -94,13 +107,36 @@ def command(
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return
+    formats = chosen_formats(export)
+    if session.suffix in {".yaml", ".yml"}:
+        _export(session, output, overwrite, formats, console)
+        return
     target = output or session.with_suffix(".calib.yaml")
+    publication = Publication(target, overwrite, report, plots, formats)
     with Session.open(session) as opened, console.status("opening") as status:
         check_result_target(target, overwrite=overwrite)
+        publication.check()
         settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
         result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
-    write_calibration(result, target, overwrite=overwrite)
+        write_calibration(result, target, overwrite=overwrite)
+        status.update(f"{session.name}: writing what stands beside the result ...")
+        published = publication.publish(opened, result, settings)
     show(result, target, console)
+    for line in published:
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _export(result: Path, output: Path | None, overwrite: bool, formats: tuple[str, ...], console: Console) -> None:
+    from calib.errors import MethodError
+    from calib.export.stored import read_array
+    from calib.publication import Publication
+
+    if not formats:
+        raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
+    publication = Publication(output or result, overwrite, report=False, formats=formats)
+    publication.check()
+    for line in publication.export_only(read_array(result)):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 def _inspect(path: Path, number: int, tdoa: TdoaMode, output: Path | None, console: Console) -> None:

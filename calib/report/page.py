@@ -1,0 +1,183 @@
+"""The page: everything put together, by Jinja with every text escaped."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from calib.joint.observability import board_tilts_deg
+from calib.report.inline import inlined
+from calib.report.photograph import photograph
+from calib.report.plots import LABELS, as_file, noise_floor_s, plots
+from calib.report.residuals import by_pose, rejected_arrivals
+from calib.report.scene import scene
+from calib.report.verdict import judge, weakest_std_m
+from calib.report.words import MEANINGS, command_line, settings_table, versions_table, weak_directions
+from calib.result import Calibration
+from calib.settings import Settings
+from rigs import __version__
+from rigs.session.info import summary
+from rigs.session.reader import Session
+
+HERE = Path(__file__).parent
+MOST_ROWS = 200
+CLASSES = {"good": "good", "usable": "usable", "do not use": "bad"}
+MARKS = {"good": "✓", "usable": "!", "do not use": "✕"}
+FACTORS = (1, 10, 100, 1000)
+
+
+def report(session: Session, result: Calibration, settings: Settings, result_name: str) -> bytes:
+    """Return the report as one HTML file that needs no other.
+
+    Parameters
+    ----------
+    session : Session
+        Open.
+    result : Calibration
+    settings : Settings
+    result_name : str
+        Of the YAML file, for the command that makes it again.
+    """
+    description = session.description
+    drawn = {name: as_file(draw, "svg") for name, draw in plots(result, description).items()}
+    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined)
+    environment.policies["json.dumps_kwargs"] = {"sort_keys": False, "separators": (",", ":")}
+    text = environment.get_template(
+        "page.html.jinja"
+    ).render(
+        result=result,
+        description=description,
+        description_text=session.description_text,
+        verdict=judge(result, description),
+        classes=CLASSES,
+        marks=MARKS,
+        figures=_figures(result),
+        microphones=_microphones(result),
+        weak_directions=weak_directions(result),
+        scene=(in_space := scene(result, description)),
+        factors=sorted({*FACTORS, in_space["exaggeration"]}),
+        plots={name: Markup(inlined(svg, name, LABELS[name])) for name, svg in drawn.items()},  # noqa: S704 - our own
+        photo=photograph(session, result),
+        poses_sentence=_poses_sentence(result),
+        held_out_sentence=_held_out_sentence(result),
+        rejected_sentence=_rejected_sentence(result),
+        rejected=rejected_arrivals(result.evidence, result.channels)[:MOST_ROWS] if result.evidence else [],
+        sound_flaws=_sound_flaws(result),
+        truth=_truth(result),
+        meanings=MEANINGS,
+        command=command_line(session.path.name, result_name, settings),
+        fit=_fit(result),
+        settings=settings_table(settings),
+        session=[*summary(session), ("SHA-256", result.session_sha256)],
+        versions=versions_table(),
+        recorded=session.created_utc,
+        made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        software=f"acoustic-camera-rig {__version__}",
+        style=Markup((HERE / "page.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
+        script=Markup((HERE / "turn.js").read_text(encoding="utf-8")),  # noqa: S704 - our own
+    )
+    return text.encode()
+
+
+def _figures(result: Calibration) -> list[tuple[str, str, str]]:
+    std_mm = 1e3 * float(np.sqrt(np.mean(np.sum(result.std_m**2, axis=1))))
+    figures = [
+        ("Microphones", str(len(result.channels)), f"from {len(result.view.pose)} board positions"),
+        ("Standard deviation of a microphone", f"{std_mm:.2g}", "mm, root mean square"),
+        ("Scatter of the TDOAs", f"{1e6 * result.residual.robust_sigma_s:.3g}", "µs"),
+    ]
+    if result.held_out is not None:
+        figures.append(("The same, held-out poses", f"{1e6 * result.held_out.robust_sigma_s:.3g}", "µs"))
+    figures.append(("Corners of the board", f"{result.view.rms_px:.2g}", "px rms"))
+    if result.evaluation is not None:
+        figures.append(("Error against the truth", f"{1e3 * result.evaluation.rmse_m:.2g}", "mm rms"))
+    return figures
+
+
+def _microphones(result: Calibration) -> list[tuple[int, list[tuple[float, float]], float, float]]:
+    std_mm, worst_mm = 1e3 * result.std_m, 1e3 * weakest_std_m(result)
+    return [
+        (channel, list(zip(1e3 * place_m, std, strict=True)), float(np.linalg.norm(std)), float(worst))
+        for channel, place_m, std, worst in zip(result.channels, result.positions_m, std_mm, worst_mm, strict=True)
+    ]
+
+
+def _poses_sentence(result: Calibration) -> str:
+    poses = result.view.board_to_camera
+    most, least = board_tilts_deg(np.array([pose.rotation for pose in poses]))
+    distances_m = [pose.translation_m[2] for pose in poses]
+    return (
+        f"{len(poses)} board positions, {min(distances_m):.2f} to {max(distances_m):.2f} m away, tilted by {most:.0f} "
+        f"degrees (root mean square) about the axis of most tilt and {least:.0f} about that of least."
+    )
+
+
+def _held_out_sentence(result: Calibration) -> str:
+    if result.held_out is None:
+        return ""
+    floor_s = noise_floor_s(result)
+    beside = f" The noise in the recording alone gives {1e6 * floor_s:.3g} µs." if floor_s is not None else ""
+    return (
+        f"Each fifth of the poses was predicted from the others: they scatter by "
+        f"{1e6 * result.held_out.robust_sigma_s:.3g} µs, the fitted ones by {1e6 * result.residual.robust_sigma_s:.3g} "
+        f"µs.{beside} The microphones of the five folds spread by {1e3 * result.held_out.spread_m:.2g} mm."
+    )
+
+
+def _rejected_sentence(result: Calibration) -> str:
+    residual = result.residual
+    total = residual.n_used + residual.n_rejected
+    sentence = f"{residual.n_rejected} of {total} TDOAs were rejected by the fit."
+    if result.evidence is not None:
+        n_rejected = sum(group.n_rejected for group in by_pose(result.evidence))
+        if n_rejected:
+            sentence += f" {n_rejected} arrivals stand behind them"
+            sentence += f", the worst {MOST_ROWS} are listed." if n_rejected > MOST_ROWS else "."
+    return sentence
+
+
+def _sound_flaws(result: Calibration) -> list[tuple[str, str, str]]:
+    if result.sound is None:
+        return []
+    rows = [(f"channel {one['channel']}", ", ".join(one["flaws"]), "all along") for one in result.sound["channels"]]
+    for one in result.sound["emissions"]:
+        where = f"emission {one['emission']}, pose {one['pose']}, buzzer {one['buzzer']}"
+        reasons = [f"{flaw} (channel {', '.join(map(str, channels))})" for flaw, channels in one["flaws"].items()]
+        rows.append((where, "; ".join(reasons), "left out" if one["left_out"] else "used as far as it was heard"))
+    return rows[:MOST_ROWS]
+
+
+def _truth(result: Calibration) -> list[tuple[str, str]]:
+    found = result.evaluation
+    if found is None:
+        return []
+    rows = [
+        ("error, all microphones", f"{1e3 * found.rmse_m:.3g} mm root mean square in the camera frame"),
+        ("after rigid alignment", f"{1e3 * found.rmse_aligned_m:.3g} mm: the array's shape alone"),
+        ("turned by", f"{found.rotation_deg:.2f} degrees"),
+        ("distances between microphones", f"{1e3 * found.distance_rmse_m:.3g} mm root mean square"),
+    ]
+    if found.paper_rmse_m is not None:
+        rows.append(("paper's figure", f"{1e3 * found.paper_rmse_m:.3g} mm (microphones 1 to 7 summed, over 8)"))
+    return rows
+
+
+def _fit(result: Calibration) -> list[tuple[str, str]]:
+    intrinsics, residual = result.view.intrinsics, result.residual
+    held = "held, known to" if result.method != "joint" else "found,"
+    return [
+        ("TDOAs", f"{residual.n_used} used, {residual.n_rejected} rejected; {1e6 * residual.rms_s:.3g} µs rms"),
+        ("speed of sound", f"{result.speed_of_sound_m_s:.2f} m/s, {held} ± {result.speed_of_sound_std_m_s:.2f} m/s"),
+        ("camera", f"from the {result.view.source}; corners fit to {result.view.rms_px:.3f} px rms"),
+        ("focal length", _listed(intrinsics.focal_px, ".2f") + " px"),
+        ("principal point", _listed(intrinsics.principal_px, ".2f") + " px"),
+        ("distortion k1, k2, p1, p2, k3", _listed(intrinsics.distortion, ".5f")),
+    ]
+
+
+def _listed(values: tuple[float, ...], form: str) -> str:
+    return ", ".join(format(value, form) for value in values)
