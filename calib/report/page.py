@@ -13,7 +13,7 @@ from calib.joint.observability import board_tilts_deg
 from calib.report.inline import inlined
 from calib.report.photograph import photograph
 from calib.report.plots import LABELS, as_file, noise_floor_s, plots
-from calib.report.residuals import by_pose, rejected_arrivals
+from calib.report.residuals import rejected_arrivals
 from calib.report.scene import scene
 from calib.report.verdict import judge, weakest_std_m
 from calib.report.words import MEANINGS, command_line, settings_table, versions_table, weak_directions
@@ -25,6 +25,7 @@ from rigs.session.reader import Session
 
 HERE = Path(__file__).parent
 MOST_ROWS = 200
+FINE_M = 0.001
 CLASSES = {"good": "good", "usable": "usable", "do not use": "bad"}
 MARKS = {"good": "✓", "usable": "!", "do not use": "✕"}
 FACTORS = (1, 10, 100, 1000)
@@ -57,6 +58,7 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
         marks=MARKS,
         figures=_figures(result),
         microphones=_microphones(result),
+        std_format="%.3f" if result.std_m.max() < FINE_M else "%.2f",
         weak_directions=weak_directions(result),
         scene=(in_space := scene(result, description)),
         factors=sorted({*FACTORS, in_space["exaggeration"]}),
@@ -74,7 +76,7 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
         settings=settings_table(settings),
         session=[*summary(session), ("SHA-256", result.session_sha256)],
         versions=versions_table(),
-        recorded=session.created_utc,
+        recorded=f"{session.created_utc[:16].replace('T', ' ')} UTC",
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         software=f"acoustic-camera-rig {__version__}",
         style=Markup((HERE / "page.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
@@ -129,15 +131,16 @@ def _held_out_sentence(result: Calibration) -> str:
 
 
 def _rejected_sentence(result: Calibration) -> str:
-    residual = result.residual
+    residual, evidence = result.residual, result.evidence
     total = residual.n_used + residual.n_rejected
-    sentence = f"{residual.n_rejected} of {total} TDOAs were rejected by the fit."
-    if result.evidence is not None:
-        n_rejected = sum(group.n_rejected for group in by_pose(result.evidence))
-        if n_rejected:
-            sentence += f" {n_rejected} arrivals stand behind them"
-            sentence += f", the worst {MOST_ROWS} are listed." if n_rejected > MOST_ROWS else "."
-    return sentence
+    if evidence is None:
+        return f"{residual.n_rejected} of {total} TDOAs were rejected by the fit."
+    n_rejected, n_arrivals = int((evidence.present & ~evidence.used).sum()), int(evidence.present.sum())
+    listed = f" The worst {MOST_ROWS} are listed." if n_rejected > MOST_ROWS else ""
+    return (
+        f"{n_rejected} of {n_arrivals} arrivals, and {residual.n_rejected} of {total} TDOAs, were rejected by the "
+        f"fit.{listed}"
+    )
 
 
 def _sound_flaws(result: Calibration) -> list[tuple[str, str, str]]:

@@ -7,7 +7,7 @@
   const factor = document.getElementById("exaggeration");
   const withBoards = document.getElementById("with-boards");
   const WIDTH = 960, HEIGHT = 560, MARGIN = 60, STEP = Math.PI / 24, AXIS_M = 0.12;
-  const VIEWS = {start: [-0.62, 0.42], front: [0, 0], above: [0, Math.PI / 2], side: [-Math.PI / 2, 0]};
+  const VIEWS = {start: [0.72, 0.4], front: [0, 0], above: [0, Math.PI / 2], side: [-Math.PI / 2, 0]};
   const points = [[0, 0, 0], ...scene.microphones.map(m => m.at), ...scene.boards.flatMap(b => b.rim)];
   const view = {yaw: VIEWS.start[0], pitch: VIEWS.start[1], zoom: 1};
 
