@@ -34,9 +34,10 @@ virtual-bench: setup
 	.ci/system-packages
 	@PYTHONPATH=tests $(BIN)/python -m virtual_bench
 
-# the README's picture, from the demo's files
+# README's picture, from the demo's report
 figures: setup
-	$(BIN)/python docs/figures/make.py
+	.ci/system-packages
+	$(BIN)/python docs/figures/screenshot.py demo.report.html docs/figures/report.png
 
 bench: setup
 	.ci/system-packages

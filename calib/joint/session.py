@@ -13,7 +13,7 @@ from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.errors import NotEnoughDataError
-from calib.evidence import Evidence
+from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
 from calib.joint.heldout import hold_out
@@ -102,16 +102,28 @@ def refined_view(view: View, solution: JointSolution) -> View:
 def _evidence(solution: JointSolution, chosen: PairTdoas, corners: PoseCorners, n_mics: int, weakest: str) -> Evidence:
     at, table = solution.at, solution.problem.corners
     seen_px = corners.corners_px
+    residuals_s = solution.residuals_s()
+    if chosen.alone:
+        residuals_s = _with_arrivals_of_rejected_pairs(residuals_s, solution, chosen)
     return Evidence(
         pose=chosen.pose,
         buzzer=chosen.buzzer,
-        residuals_s=solution.residuals_s()[:, :n_mics],
+        residuals_s=residuals_s[:, :n_mics],
         used=solution.used_arrivals[:, :n_mics],
         distances_m=solution.problem.arrivals.flights(at).distances_m[:, :n_mics],
         corners_px=seen_px,
         corner_residuals_px=np.full_like(seen_px, np.nan) if table is None else table.residuals_px(at),
         weakest=weakest,
     )
+
+
+def _with_arrivals_of_rejected_pairs(residuals_s: FloatArray, solution: JointSolution, chosen: PairTdoas) -> FloatArray:
+    """Fill in what became of no arrival, since its pairs were rejected before."""
+    by_pairs_s = arrivals_of_differences(chosen.residuals_s(solution), chosen.pairs, solution.at.blocks.n_mics)
+    fitting = np.where(np.isfinite(residuals_s), by_pairs_s, np.nan)
+    present = np.isfinite(fitting)
+    centre_s = np.where(present, fitting, 0.0).sum(axis=1) / np.maximum(present.sum(axis=1), 1)
+    return np.where(np.isfinite(residuals_s), residuals_s, by_pairs_s - centre_s[:, None])
 
 
 def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: int) -> None:

@@ -10,7 +10,7 @@ from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 CHROMIUM = "/usr/bin/chromium"
-VIEW = {"width": 1000, "height": 1060}
+VIEW = {"width": 1000, "height": 1240}
 GAP_PX = 24
 
 
