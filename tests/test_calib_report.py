@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from calib.cli import command
 from calib.evidence import arrivals_of_differences
 from calib.pipeline import calibrate
+from calib.report.page import report as report_page
 from calib.report.plots import COLOURS, LABELS
 from calib.report.residuals import by_buzzer, by_channel, rejected_arrivals
 from calib.report.verdict import judge, weakest_std_m
@@ -303,3 +304,26 @@ def test_no_report_is_made_where_none_is_wanted(nasty, tmp_path, capsys):
     assert run_calibrate(session, "-o", target, "--no-report", "--plots", "png") == 0
     assert (tmp_path / "s1.report.html").read_text() == "precious"
     assert (tmp_path / "s1.array.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_long_session_leaves_a_report_of_bearable_size(calibrated, tmp_path, simulated_description):
+    """The same poses again and again: the drawings take some of them, and say so."""
+    result, _ = calibrated
+    evidence, view, n_times = result.evidence, result.view, 40
+    many = dataclasses.replace(
+        result,
+        view=dataclasses.replace(view, pose=np.arange(12 * n_times), board_to_camera=view.board_to_camera * n_times),
+        evidence=dataclasses.replace(
+            evidence,
+            **{
+                field.name: np.concatenate([getattr(evidence, field.name)] * n_times)
+                for field in dataclasses.fields(evidence)
+                if field.name != "weakest"
+            },
+        ),
+    )
+    with Session.open(write_measured_session(tmp_path / "s.h5", simulated_description)) as session:
+        page = report_page(session, many, Settings(), "s.calib.yaml")
+    assert len(page) < 3e6
+    assert b"Drawn are 150 of the board positions, 6000 of the corners, 6000 of the residuals" in page
+    assert len(json.loads(re.search(rb'id="scene-data">(.*?)</script>', page, re.DOTALL)[1])["boards"]) == 150

@@ -11,6 +11,7 @@ from rigs.description import Board
 
 FloatArray = NDArray[np.float64]
 
+MOST_BOARDS = 150
 FRUSTUM_SHARE = 0.6  # of the distance to the nearest board
 SIGMAS_95 = 2.7955  # half axes of an ellipsoid that holds 95 % of a Gaussian in three dimensions
 
@@ -21,9 +22,20 @@ def board_rim_m(board: Board) -> FloatArray:
     return corners[[0, 0, -1, -1, 0], [0, -1, -1, 0, 0]]
 
 
+def spread(n: int, most: int) -> NDArray[np.intp]:
+    """Choose at most so many of n things, evenly: a drawing of a long session would else be as large as the session."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
+
+
+def drawn_boards(result: Calibration) -> NDArray[np.intp]:
+    """Return the rows of the board positions that are drawn."""
+    return spread(len(result.view.pose), MOST_BOARDS)
+
+
 def board_rims_m(result: Calibration, board: Board) -> FloatArray:
-    """Return the rims (n_poses, 5, 3) of all board positions in the camera frame."""
-    return np.array([pose.apply(board_rim_m(board)) for pose in result.view.board_to_camera])
+    """Return the rims (n_drawn, 5, 3) of the board positions that are drawn, in the camera frame."""
+    poses = result.view.board_to_camera
+    return np.array([poses[row].apply(board_rim_m(board)) for row in drawn_boards(result)])
 
 
 def frustum_m(result: Calibration) -> FloatArray:

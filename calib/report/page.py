@@ -10,9 +10,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from calib.joint.observability import board_tilts_deg
+from calib.report.geometry import MOST_BOARDS
 from calib.report.inline import inlined
 from calib.report.photograph import photograph
-from calib.report.plots import LABELS, as_file, noise_floor_s, plots
+from calib.report.plots import LABELS, MOST_POINTS, as_file, noise_floor_s, plots
 from calib.report.residuals import rejected_arrivals
 from calib.report.scene import scene
 from calib.report.verdict import judge, weakest_std_m
@@ -65,6 +66,7 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
         plots={name: Markup(inlined(svg, name, LABELS[name])) for name, svg in drawn.items()},  # noqa: S704 - our own
         photo=photograph(session, result),
         poses_sentence=_poses_sentence(result),
+        drawn_sentence=_drawn_sentence(result),
         held_out_sentence=_held_out_sentence(result),
         rejected_sentence=_rejected_sentence(result),
         rejected=rejected_arrivals(result.evidence, result.channels)[:MOST_ROWS] if result.evidence else [],
@@ -116,6 +118,18 @@ def _poses_sentence(result: Calibration) -> str:
         f"{len(poses)} board positions, {min(distances_m):.2f} to {max(distances_m):.2f} m away, tilted by {most:.0f} "
         f"degrees (root mean square) about the axis of most tilt and {least:.0f} about that of least."
     )
+
+
+def _drawn_sentence(result: Calibration) -> str:
+    """Say what a long session's drawings leave out; empty where they show everything."""
+    parts, evidence = [], result.evidence
+    if len(result.view.pose) > MOST_BOARDS:
+        parts.append(f"{MOST_BOARDS} of the board positions")
+    if evidence is not None and np.isfinite(evidence.corners_px[:, :, 0]).sum() > MOST_POINTS:
+        parts.append(f"{MOST_POINTS} of the corners")
+    if evidence is not None and evidence.used.sum() > MOST_POINTS:
+        parts.append(f"{MOST_POINTS} of the residuals against distance")
+    return f"Drawn are {', '.join(parts)}, evenly chosen; figures rest on all." if parts else ""
 
 
 def _held_out_sentence(result: Calibration) -> str:

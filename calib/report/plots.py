@@ -14,7 +14,7 @@ from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
 from calib.evidence import Evidence
-from calib.report.geometry import SIGMAS_95, board_rims_m, exaggeration, frustum_m
+from calib.report.geometry import SIGMAS_95, board_rims_m, exaggeration, frustum_m, spread
 from calib.report.residuals import Group, by_buzzer, by_channel, by_pose, over_distance
 from calib.result import Calibration
 from rigs.description import RigDescription
@@ -58,6 +58,7 @@ STYLE: Any = {
     "svg.hashsalt": "report",
 }
 WIDTH_IN = 7.4
+MOST_POINTS = 6000
 AXES = ("x, right (m)", "y, down (m)", "z, forward (m)")
 LABELS = {
     "array": "Array, camera and boards from above, from the camera, and from the side",
@@ -125,8 +126,9 @@ def draw_coverage(result: Calibration, evidence: Evidence) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
     seen, tilted = figure.subplots(1, 2, width_ratios=[1.55, 1])
     seen.add_patch(Rectangle((0, 0), width, height, fill=False, edgecolor=MUTED))
-    for corners_px in evidence.corners_px:
-        seen.plot(*corners_px.T, ".", color=BOARD, markersize=1.6, alpha=0.6)
+    corners_px = evidence.corners_px.reshape(-1, 2)
+    corners_px = corners_px[np.isfinite(corners_px).all(axis=1)]
+    seen.plot(*corners_px[spread(len(corners_px), MOST_POINTS)].T, ".", color=BOARD, markersize=1.6, alpha=0.6)
     seen.set(xlim=(-0.02 * width, 1.02 * width), ylim=(1.02 * height, -0.02 * height), aspect="equal")
     seen.set(title="Corners in the picture", xlabel="px", ylabel="px")
     poses = result.view.board_to_camera
@@ -166,8 +168,9 @@ def draw_distances(evidence: Evidence) -> Figure:
     axes = figure.subplots()
     used = evidence.used & evidence.present
     out = evidence.present & ~evidence.used
-    dots: Any = {"markersize": 2.2, "markeredgewidth": 0, "rasterized": False}
-    axes.plot(evidence.distances_m[used], 1e6 * evidence.residuals_s[used], ".", color=BOARD, alpha=0.5, **dots)
+    distances_m, residuals_us = evidence.distances_m[used], 1e6 * evidence.residuals_s[used]
+    some = spread(len(distances_m), MOST_POINTS)
+    axes.plot(distances_m[some], residuals_us[some], ".", color=BOARD, alpha=0.5, markersize=2.2, markeredgewidth=0)
     centres_m, rms_us = over_distance(evidence)
     if len(centres_m):
         axes.plot(centres_m, rms_us, color=SOUND, linewidth=1.6, label="rms, and its negative")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.report.geometry import SIGMAS_95, board_rims_m, exaggeration, frustum_m
+from calib.report.geometry import SIGMAS_95, board_rims_m, drawn_boards, exaggeration, frustum_m
 from calib.result import Calibration
 from rigs.description import RigDescription
 
@@ -30,7 +30,9 @@ def scene(result: Calibration, description: RigDescription) -> dict[str, Any]:
         "frustum": [_rounded(corner) for corner in frustum_m(result)],
         "boards": [
             {"pose": int(pose), "rim": [_rounded(corner) for corner in rim[:4]]}
-            for pose, rim in zip(result.view.pose, board_rims_m(result, description.board), strict=True)
+            for pose, rim in zip(
+                result.view.pose[drawn_boards(result)], board_rims_m(result, description.board), strict=True
+            )
         ],
     }
 
