@@ -19,7 +19,7 @@ from calib.evidence import arrivals_of_differences
 from calib.pipeline import calibrate
 from calib.report.page import report as report_page
 from calib.report.plots import COLOURS, LABELS
-from calib.report.residuals import by_buzzer, by_channel, rejected_arrivals
+from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose, rejected_arrivals
 from calib.report.verdict import judge, weakest_std_m
 from calib.report.words import command_line, weak_directions
 from calib.result import Calibration
@@ -117,6 +117,9 @@ def test_verdict_comes_first_and_everything_is_told(page, nasty):
         cells = [float(cell) for cell in row.locator("td").all_inner_texts()]
         np.testing.assert_allclose(cells[0:6:2], 1e3 * np.array(microphone["position_m"]), atol=0.0051)
         np.testing.assert_allclose(cells[1:6:2], 1e3 * np.array(microphone["std_m"]), atol=0.0051)
+    first, second = (np.array(result["microphones"][row]["position_m"]) for row in (2, 5))
+    row = page.get_by_role("region", name="Table: Distances").locator("tbody tr").nth(4)  # of channel 6
+    assert row.locator("td").all_inner_texts()[2] == f"{1e3 * np.linalg.norm(first - second):.1f}"
     for suggestion in result["suggested_poses"]:
         assert suggestion in words
     for heading in ("Criteria", "Doubts", "Weakest directions", "Held-out check", "Rejected", "What it cannot tell"):
@@ -261,6 +264,15 @@ def test_residuals_are_grouped(calibrated):
     assert [round(group.rms_us, 6) for group in groups] == [0, 0, 5, 0, 0, 0, 0, 0]
     assert [group.label for group in by_buzzer(evidence)] == [1, 2, 3, 4, 5, 6]
     assert sum(group.n_used + group.n_rejected for group in by_buzzer(evidence)) == 12 * 6 * 8
+
+
+def test_corners_are_judged_pose_by_pose(calibrated):
+    evidence = calibrated[0].evidence
+    residuals_px = np.full_like(evidence.corner_residuals_px, 3.0)
+    residuals_px[2], residuals_px[3, 10:] = np.nan, np.nan
+    rms_px = corner_rms_by_pose(dataclasses.replace(evidence, corner_residuals_px=residuals_px))
+    assert np.isnan(rms_px[2])
+    np.testing.assert_allclose(np.delete(rms_px, 2), np.sqrt(18))
 
 
 def test_residuals_of_pairs_are_shared_out():

@@ -54,5 +54,4 @@ def _document(array: CalibratedArray, root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
     comment = "\n".join(array.heading()).replace("--", "- -")  # a comment of XML cannot hold two hyphens
     text = ElementTree.tostring(root, encoding="unicode")
-    escaped = comment.replace("&", "&amp;").replace("<", "&lt;")
-    return f'<?xml version="1.0" encoding="utf-8"?>\n<!--\n{escaped}\n-->\n{text}\n'.encode()
+    return f'<?xml version="1.0" encoding="utf-8"?>\n<!--\n{comment}\n-->\n{text}\n'.encode()

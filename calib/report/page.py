@@ -25,7 +25,7 @@ from rigs.session.info import summary
 from rigs.session.reader import Session
 
 HERE = Path(__file__).parent
-MOST_ROWS = 200
+MOST_ROWS, MOST_DISTANCES = 200, 12
 FINE_M = 0.001
 CLASSES = {"good": "good", "usable": "usable", "do not use": "bad"}
 MARKS = {"good": "✓", "usable": "!", "do not use": "✕"}
@@ -60,6 +60,7 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
         figures=_figures(result),
         microphones=_microphones(result),
         std_format="%.3f" if result.std_m.max() < FINE_M else "%.2f",
+        distances=_distances_mm(result),
         weak_directions=weak_directions(result),
         scene=(in_space := scene(result, description)),
         factors=sorted({*FACTORS, in_space["exaggeration"]}),
@@ -108,6 +109,14 @@ def _microphones(result: Calibration) -> list[tuple[int, list[tuple[float, float
         (channel, list(zip(1e3 * place_m, std, strict=True)), float(np.linalg.norm(std)), float(worst))
         for channel, place_m, std, worst in zip(result.channels, result.positions_m, std_mm, worst_mm, strict=True)
     ]
+
+
+def _distances_mm(result: Calibration) -> list[list[float]]:
+    """Return the distances of each microphone but the first from those before it; nothing where they are too many."""
+    places_m = result.positions_m
+    if len(places_m) > MOST_DISTANCES:
+        return []
+    return [(1e3 * np.linalg.norm(places_m[:row] - places_m[row], axis=1)).tolist() for row in range(1, len(places_m))]
 
 
 def _poses_sentence(result: Calibration) -> str:

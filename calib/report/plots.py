@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.evidence import Evidence
 from calib.report.geometry import SIGMAS_95, board_rims_m, exaggeration, frustum_m, spread
-from calib.report.residuals import Group, by_buzzer, by_channel, by_pose, over_distance
+from calib.report.residuals import Group, by_buzzer, by_channel, by_pose, corner_rms_by_pose, over_distance
 from calib.result import Calibration
 from rigs.description import RigDescription
 from rigs.geometry import Pose
@@ -64,7 +64,7 @@ LABELS = {
     "array": "Array, camera and boards from above, from the camera, and from the side",
     "coverage": "Corners of the board in the picture, and tilts and distances of the board",
     "residuals": "Residuals by microphone and by buzzer",
-    "residuals-by-pose": "Residuals by pose",
+    "residuals-by-pose": "Residuals of arrivals and of corners by pose",
     "residuals-by-distance": "Residuals against distance",
     "held-out": "Scatter of noise floor, fitted poses and held-out poses",
 }
@@ -79,7 +79,7 @@ def plots(result: Calibration, description: RigDescription) -> dict[str, Callabl
         drawn |= {
             "coverage": lambda: draw_coverage(result, evidence),
             "residuals": lambda: draw_groups(evidence, result.channels),
-            "residuals-by-pose": lambda: draw_poses(evidence),
+            "residuals-by-pose": lambda: draw_poses(evidence, result.view.pose),
             "residuals-by-distance": lambda: draw_distances(evidence),
         }
     if result.held_out is not None:
@@ -153,12 +153,16 @@ def draw_groups(evidence: Evidence, channels: tuple[int, ...]) -> Figure:
     return figure
 
 
-def draw_poses(evidence: Evidence) -> Figure:
-    """Draw residuals by pose."""
-    figure = Figure(figsize=(WIDTH_IN, 2.5), layout="constrained")
-    axes = figure.subplots()
-    _draw_quantiles(axes, by_pose(evidence), "pose")
-    axes.set_ylabel("residual of the arrival (µs)")
+def draw_poses(evidence: Evidence, poses: NDArray[np.int32]) -> Figure:
+    """Draw residuals of arrivals, and of corners, by pose."""
+    figure = Figure(figsize=(WIDTH_IN, 3.9), layout="constrained")
+    heard, seen = figure.subplots(2, 1, height_ratios=[1.6, 1])
+    _draw_quantiles(heard, by_pose(evidence), "pose")
+    heard.set(ylabel="arrivals (µs)", xlabel="")
+    places = np.arange(len(poses))
+    seen.bar(places, corner_rms_by_pose(evidence), color=BOARD, width=0.6)
+    _mark_groups(seen, poses.tolist(), "pose")
+    seen.set_ylabel("corners (px rms)")
     return figure
 
 
@@ -170,7 +174,7 @@ def draw_distances(evidence: Evidence) -> Figure:
     out = evidence.present & ~evidence.used
     distances_m, residuals_us = evidence.distances_m[used], 1e6 * evidence.residuals_s[used]
     some = spread(len(distances_m), MOST_POINTS)
-    axes.plot(distances_m[some], residuals_us[some], ".", color=BOARD, alpha=0.5, markersize=2.2, markeredgewidth=0)
+    axes.plot(distances_m[some], residuals_us[some], ".", color=BOARD, alpha=0.55, markersize=3, markeredgewidth=0)
     centres_m, rms_us = over_distance(evidence)
     if len(centres_m):
         axes.plot(centres_m, rms_us, color=SOUND, linewidth=1.6, label="rms, and its negative")
@@ -241,10 +245,14 @@ def _draw_quantiles(axes: Any, groups: list[Group], kind: str) -> None:
     axes.vlines(places, q05, q95, color=BOARD, linewidth=1.2)
     axes.vlines(places, q25, q75, color=BOARD, linewidth=max(2.0, min(9.0, 150 / len(groups))), alpha=0.55)
     axes.plot(places, q50, "_", color=INK, markersize=max(4.0, min(10.0, 180 / len(groups))))
-    step = max(1, int(np.ceil(len(groups) / 25)))
-    axes.set_xticks(places[::step], [str(group.label) for group in groups[::step]])
+    _mark_groups(axes, [group.label for group in groups], kind)
+
+
+def _mark_groups(axes: Any, labels: list[int], kind: str) -> None:
+    step = max(1, int(np.ceil(len(labels) / 25)))
+    axes.set_xticks(np.arange(len(labels))[::step], [str(label) for label in labels[::step]])
     axes.grid(axis="x", visible=False)
-    axes.set(xlabel=kind, xlim=(-0.7, len(groups) - 0.3))
+    axes.set(xlabel=kind, xlim=(-0.7, len(labels) - 0.3))
 
 
 def _reach_us(evidence: Evidence) -> float:
