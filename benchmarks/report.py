@@ -39,7 +39,7 @@ def measured(n_poses: int) -> str:
         with Session.open(path) as session:
             result = calibrate(session, Settings())
             began_s, began_busy_s = time.perf_counter(), time.process_time()
-            page = report(session, result, Settings(), "s.calib.yaml")
+            page = report([session], result, Settings(), "s.calib.yaml")
             took_s, busy_s = time.perf_counter() - began_s, time.process_time() - began_busy_s
     return f"{took_s:.1f} s | {busy_s:.1f} s | {len(page) / 1e6:.2f} MB"
 

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ from calib.joint.unknowns import Unknowns
 from rigs.geometry import Pose
 from rigs.session.aislab_files import read_poses
 
+Spoil = Callable[[Rig, np.random.Generator], tuple[Rig, list[tuple[str, int]]]]
 LEVELS_S = {1: 66.6e-6, 2: 333e-6, 3: 999e-6, 4: 1332e-6}
 PAPER_BUZZERS_M = np.array([(200, 0, 2), (-40, 0, 2), (200, 140, 2), (-40, 140, 2), (200, 60, 2), (-40, 60, 2)]) / 1e3
 CUBE_M = 0.5 * np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -45,14 +47,14 @@ def rms_m(errors_m: np.ndarray) -> float:
 def simulated_rig(seeds: int) -> None:
     print(f"Simulated rig at the level of corners and arrivals, {seeds} seeds, mm")
     print(f"{'':40}{'bound':>8}{'rmse':>8}{'ratio':>8}{'median':>8}{'largest':>9}{'95 % hold':>11}{'speed':>9}")
-    cases = {
-        "25 poses, 0.25 to 1 us, 0.05 px": {},
-        "12 poses, 0.5 to 2 us, 0.05 px": {"n_poses": 12, "arrival_std_s": 1e-6},
+    cases: dict[str, Callable[[int], Rig]] = {
+        "25 poses, 0.25 to 1 us, 0.05 px": make_rig,
+        "12 poses, 0.5 to 2 us, 0.05 px": partial(make_rig, n_poses=12, arrival_std_s=1e-6),
     }
-    for name, case in cases.items():
+    for name, make in cases.items():
         errors, bounds, held, times_s = [], [], [], []
         for seed in range(seeds):
-            rig = make_rig(seed, **case)
+            rig = make(seed)
             start_s = time.perf_counter()
             solution = rig.solved()
             covariance = shared_covariance(solution.problem, solution.at, solution.weights())
@@ -97,14 +99,14 @@ def wrong_squares(rig: Rig, generator: np.random.Generator) -> tuple[Rig, list[t
     return with_board(rig, square_size_m=size_m), [("scale", 0)]
 
 
-def with_board(rig: Rig, **changes) -> Rig:
+def with_board(rig: Rig, **changes: object) -> Rig:
     board = rig.description.board.model_copy(update=changes)
     return replace(rig, description=rig.description.model_copy(update={"board": board}))
 
 
 def faults(seeds: int) -> None:
     print(f"\nFaults found and named, and nothing else, of {seeds} seeds; median rmse in mm")
-    kinds: dict[str, Callable] = {
+    kinds: dict[str, Spoil] = {
         "none": lambda rig, _: (rig, []),
         "a buzzer off by 20 mm": wrong_buzzer,
         "a channel late by 0.2 ms": late_channel,
@@ -185,7 +187,7 @@ def speed() -> None:
 
     def residuals(places: np.ndarray) -> np.ndarray:
         offsets = table.offsets_m(places.reshape(1, 8, 3))[0][0]
-        return (offsets[:, second] - offsets[:, first]).ravel()
+        return np.asarray(offsets[:, second] - offsets[:, first]).ravel()
 
     scipy_ms = timed_ms(lambda: least_squares(residuals, start_m.ravel()))
     ours_ms = timed_ms(lambda: descend_together(table, start_m[None], least_squares=30, robust=0))
@@ -214,6 +216,7 @@ def iteration_ms(n_poses: int) -> float:
     std = np.full(rig.truth.blocks.size, np.inf)
     std[rig.truth.blocks.delays], std[rig.truth.blocks.speed], std[rig.truth.blocks.buzzers] = 0.0, 0.6, 1e-4
     std[rig.truth.blocks.scale] = 2e-4
+    assert small.corners is not None
     corners = replace(small.corners, seen_px=rig.corners_px)
     problem = JointProblem(ArrivalTable(pose, buzzer, rig.arrival_s, rig.std_s), corners, Priors(rig.truth.shared, std))
     return timed_ms(lambda: descend(problem, rig.truth, problem.stated_weights(), 1), 1) / 2

@@ -27,8 +27,6 @@ class Evidence:
         From buzzer to microphone.
     corners_px, corner_residuals_px : (n_poses, n_corners, 2) arrays
         Of the poses of the view, in their order; NaN where not seen.
-    weakest : str
-        The motion of the array as a whole that is known worst; empty where the method does not say.
     """
 
     pose: NDArray[np.int32]
@@ -38,7 +36,6 @@ class Evidence:
     distances_m: FloatArray
     corners_px: FloatArray
     corner_residuals_px: FloatArray
-    weakest: str = ""
 
     @property
     def present(self) -> BoolArray:

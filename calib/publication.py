@@ -52,7 +52,7 @@ class Publication:
         names = [*([REPORT] if self.report else []), *endings(self.formats), *drawn]
         check_outputs([beside(self.target, name) for name in names], overwrite=self.overwrite)
 
-    def publish(self, session: Session, result: Calibration, settings: Settings) -> list[str]:
+    def publish(self, sessions: list[Session], result: Calibration, settings: Settings) -> list[str]:
         """Write everything, or nothing, and return the lines that say so.
 
         Raises
@@ -64,13 +64,13 @@ class Publication:
         if self.plots is not None:
             drawn = {
                 f".{name}.{self.plots}": as_file(draw, self.plots)
-                for name, draw in plots(result, session.description).items()
+                for name, draw in plots(result, sessions[0].description).items()
             }
             said += [f"Plotted: {beside(self.target, ending)}" for ending in drawn]
             contents |= drawn
         if self.report:
-            contents[REPORT] = report(session, result, settings, self.target.name)
-            level = judge(result, session.description).level
+            contents[REPORT] = report(sessions, result, settings, self.target.name)
+            level = judge(result, sessions[0].description).level
             said.append(f"Report: {beside(self.target, REPORT)} (verdict: {level})")
         self._write(contents)
         return said

@@ -29,7 +29,7 @@ def show(result: Calibration, path: Path, console: Console) -> None:
     for warning in result.warnings:
         console.print(_warning(warning))
     for number, suggestion in enumerate(result.suggestions, start=1):
-        console.print(f"next pose {number}: {escape(suggestion)}")
+        console.print(f"next pose {number}: {escape(suggestion.sentence())}")
     console.print(f"Written: {escape(str(path))}", soft_wrap=True, highlight=False)
 
 
@@ -54,6 +54,10 @@ def _microphone_table(result: Calibration) -> Table:
 
 def _fit_table(result: Calibration) -> Table:
     residual, view = result.residual, result.view
+    shares = [
+        (share.name, f"{share.n_poses} poses, {share.speed_of_sound_m_s:.2f} m/s +- {share.speed_of_sound_std_m_s:.2f}")
+        for share in result.sessions
+    ]
     speed = f"{result.speed_of_sound_m_s:.2f} m/s"
     held = result.method != "joint"
     speed += (
@@ -77,7 +81,7 @@ def _fit_table(result: Calibration) -> Table:
             ),
             *held_out,
             ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected"),
-            ("speed of sound", speed),
+            *(shares or [("speed of sound", speed)]),
             ("camera", f"focal length {focal} px, from the {view.source}"),
             ("board", f"{len(view.board_to_camera)} poses, corners fit to {view.rms_px:.3f} px rms"),
         ]

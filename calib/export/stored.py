@@ -58,7 +58,8 @@ class _Result(_Part):
     speed_of_sound_std_m_s: float = Field(ge=0)
     microphones: tuple[_Microphone, ...] = Field(min_length=1, max_length=64)
     camera: _Camera
-    session: _Session
+    session: _Session | None = None
+    sessions: tuple[_Session, ...] = ()
     recording: _Recording
 
 
@@ -89,9 +90,10 @@ def read_array(path: Path) -> CalibratedArray:
 
 
 def _array(result: _Result) -> CalibratedArray:
+    sessions = (result.session,) if result.session else result.sessions
     return CalibratedArray(
-        result.session.name,
-        result.session.sha256,
+        " + ".join(session.name for session in sessions),
+        " + ".join(session.sha256 for session in sessions),
         result.method,
         result.software,
         tuple(microphone.channel for microphone in result.microphones),

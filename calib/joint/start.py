@@ -71,8 +71,9 @@ def range_table(problem: JointProblem, at: Unknowns) -> RangeTable:
     arrivals = problem.arrivals
     sources_m = arrivals.flights(at).arms_m + at.translations_m[arrivals.pose]
     ranges_m = np.where(arrivals.present, arrivals.arrival_s, 0.0)
-    ranges_m = (ranges_m - np.where(arrivals.present, at.delays_s, 0.0)) * at.speed_m_s
-    return RangeTable(sources_m, ranges_m, arrivals.information / at.speed_m_s**2)
+    speeds_m_s = arrivals.speeds_m_s(at)
+    ranges_m = (ranges_m - np.where(arrivals.present, arrivals.delays_s(at), 0.0)) * speeds_m_s
+    return RangeTable(sources_m, ranges_m, arrivals.information / speeds_m_s**2)
 
 
 def _draws(table: RangeTable, seed: int) -> FloatArray:

@@ -16,7 +16,7 @@ from calib.report.photograph import photograph
 from calib.report.plots import LABELS, MOST_POINTS, as_file, noise_floor_s, plots
 from calib.report.residuals import rejected_arrivals
 from calib.report.scene import scene
-from calib.report.verdict import judge, weakest_std_m
+from calib.report.verdict import judge
 from calib.report.words import MEANINGS, command_line, settings_table, versions_table, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
@@ -32,19 +32,19 @@ MARKS = {"good": "✓", "usable": "!", "do not use": "✕"}
 FACTORS = (1, 10, 100, 1000)
 
 
-def report(session: Session, result: Calibration, settings: Settings, result_name: str) -> bytes:
+def report(sessions: list[Session], result: Calibration, settings: Settings, result_name: str) -> bytes:
     """Return the report as one HTML file that needs no other.
 
     Parameters
     ----------
-    session : Session
-        Open.
+    sessions : list of Session
+        Those that it rests on, open.
     result : Calibration
     settings : Settings
     result_name : str
         Of the YAML file, for the command that makes it again.
     """
-    description = session.description
+    description = sessions[0].description
     drawn = {name: as_file(draw, "svg") for name, draw in plots(result, description).items()}
     environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined)
     environment.policies["json.dumps_kwargs"] = {"sort_keys": False, "separators": (",", ":")}
@@ -53,7 +53,7 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
     ).render(
         result=result,
         description=description,
-        description_text=session.description_text,
+        description_text=sessions[0].description_text,
         verdict=judge(result, description),
         classes=CLASSES,
         marks=MARKS,
@@ -65,7 +65,7 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
         scene=(in_space := scene(result, description)),
         factors=sorted({*FACTORS, in_space["exaggeration"]}),
         plots={name: Markup(inlined(svg, name, LABELS[name])) for name, svg in drawn.items()},  # noqa: S704 - our own
-        photo=photograph(session, result),
+        photo=photograph(sessions[0], result),
         poses_sentence=_poses_sentence(result),
         drawn_sentence=_drawn_sentence(result),
         held_out_sentence=_held_out_sentence(result),
@@ -74,12 +74,12 @@ def report(session: Session, result: Calibration, settings: Settings, result_nam
         sound_flaws=_sound_flaws(result),
         truth=_truth(result),
         meanings=MEANINGS,
-        command=command_line(session.path.name, result_name, settings),
+        command=command_line([session.path.name for session in sessions], result_name, settings),
         fit=_fit(result),
         settings=settings_table(settings),
-        session=[*summary(session), ("SHA-256", result.session_sha256)],
+        sessions=_sessions(sessions, result),
         versions=versions_table(),
-        recorded=f"{session.created_utc[:16].replace('T', ' ')} UTC",
+        recorded=f"{sessions[0].created_utc[:16].replace('T', ' ')} UTC",
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         software=f"acoustic-camera-rig {__version__}",
         style=Markup((HERE / "page.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
@@ -104,19 +104,42 @@ def _figures(result: Calibration) -> list[tuple[str, str, str]]:
 
 
 def _microphones(result: Calibration) -> list[tuple[int, list[tuple[float, float]], float, float]]:
-    std_mm, worst_mm = 1e3 * result.std_m, 1e3 * weakest_std_m(result)
+    std_mm, worst_mm = 1e3 * result.std_m, 1e3 * result.worst_std_m
     return [
         (channel, list(zip(1e3 * place_m, std, strict=True)), float(np.linalg.norm(std)), float(worst))
         for channel, place_m, std, worst in zip(result.channels, result.positions_m, std_mm, worst_mm, strict=True)
     ]
 
 
-def _distances_mm(result: Calibration) -> list[list[float]]:
-    """Return the distances of each microphone but the first from those before it; nothing where they are too many."""
-    places_m = result.positions_m
-    if len(places_m) > MOST_DISTANCES:
+def _distances_mm(result: Calibration) -> list[list[tuple[float, float]]]:
+    """Return each microphone's distances from those before it, with std; nothing where there are too many."""
+    n_mics = len(result.channels)
+    if n_mics > MOST_DISTANCES:
         return []
-    return [(1e3 * np.linalg.norm(places_m[:row] - places_m[row], axis=1)).tolist() for row in range(1, len(places_m))]
+    return [[_distance_mm(result, row, other) for other in range(row)] for row in range(1, n_mics)]
+
+
+def _distance_mm(result: Calibration, first: int, second: int) -> tuple[float, float]:
+    """Return the distance of two microphones and its standard deviation: neighbours err alike, so it may be small."""
+    between_m = result.positions_m[second] - result.positions_m[first]
+    length_m = float(np.linalg.norm(between_m))
+    slope = np.zeros((len(result.channels), 3))
+    slope[second], slope[first] = between_m / length_m, -between_m / length_m
+    return 1e3 * length_m, 1e3 * float(np.sqrt(slope.ravel() @ result.array_covariance_m2 @ slope.ravel()))
+
+
+def _sessions(sessions: list[Session], result: Calibration) -> list[list[tuple[str, str]]]:
+    """Return what is to be said of each session."""
+    if not result.sessions:
+        return [[*summary(sessions[0]), ("SHA-256", result.session_sha256)]]
+    return [
+        [
+            *summary(session),
+            ("SHA-256", share.sha256),
+            ("speed of sound", f"{share.speed_of_sound_m_s:.2f} ± {share.speed_of_sound_std_m_s:.2f} m/s"),
+        ]
+        for session, share in zip(sessions, result.sessions, strict=True)
+    ]
 
 
 def _poses_sentence(result: Calibration) -> str:

@@ -46,11 +46,12 @@ def photograph(session: Session, result: Calibration) -> Photograph | None:
     """Return the picture of the nearest board; None where the session has no pictures."""
     if result.evidence is None or len(session.frames) == 0:
         return None
-    row = int(np.argmin([pose.translation_m[2] for pose in result.view.board_to_camera]))
+    rows = np.flatnonzero(np.isin(result.view.pose, session.frames["pose"]))
+    if len(rows) == 0:
+        return None
+    row = int(min(rows, key=lambda row: result.view.board_to_camera[row].translation_m[2]))
     pose = int(result.view.pose[row])
     frames = np.flatnonzero(session.frames["pose"] == pose)
-    if len(frames) == 0:
-        return None
     image = session.picture(int(frames[0]))
     height, width = image.shape[:2]
     placed, buzzers = result.view.board_to_camera[row], session.description.board.buzzers

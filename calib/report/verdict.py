@@ -70,13 +70,8 @@ def judge(result: Calibration, description: RigDescription) -> Verdict:
     return Verdict(level, _sentence(result, level, criteria), criteria)
 
 
-def weakest_std_m(result: Calibration) -> np.ndarray:
-    """Return each microphone's standard deviation (n_mics,) in the direction in which it is known worst."""
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(result.covariance_m2)[:, -1]))
-
-
 def _of_microphones(result: Calibration) -> list[Criterion]:
-    std_mm = 1e3 * weakest_std_m(result)
+    std_mm = 1e3 * result.worst_std_m
     worst = int(np.argmax(std_mm))
     return [
         _at_most(

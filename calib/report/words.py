@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.report.verdict import weakest_std_m
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs import __version__
@@ -71,16 +70,17 @@ MEANINGS = (
 )
 
 
-def command_line(session: str, result_name: str, settings: Settings) -> str:
+def command_line(sessions: list[str], result_name: str, settings: Settings) -> str:
     """Return the command that makes the result again."""
     usual = Settings()
-    words = ["rig-calibrate", session, "--method", settings.method]
+    words = ["rig-calibrate", *sessions, "--method", settings.method]
     words += ["--seed", str(settings.seed)] if settings.seed != usual.seed else []
     words += ["--tdoa", settings.tdoa] if settings.tdoa != usual.tdoa else []
     words += ["--reference", str(settings.reference_channel)] if settings.reference_channel is not None else []
     words += [word for channel in settings.excluded_channels for word in ("--exclude-channel", str(channel))]
     words += [word for block in settings.hold for word in ("--hold", block)]
     words += ["--find-delays"] if settings.find_delays else []
+    words += ["--ignore-sync"] if settings.ignore_sync else []
     words += ["--suggest-poses", str(settings.suggest_poses)] if settings.suggest_poses else []
     return shlex.join([*words, "--output", result_name])
 
@@ -94,6 +94,7 @@ def settings_table(settings: Settings) -> list[tuple[str, str]]:
         ("reference channel", "none" if settings.reference_channel is None else str(settings.reference_channel)),
         ("channels left out", ", ".join(map(str, settings.excluded_channels)) or "none"),
         ("held", ", ".join(settings.hold) or "nothing"),
+        ("sync output, where recorded", "left out" if settings.ignore_sync else "used"),
         ("delays of channels", "found" if settings.find_delays else "held at 0"),
     ]
 
@@ -106,9 +107,13 @@ def versions_table() -> list[tuple[str, str]]:
 
 def weak_directions(result: Calibration) -> list[str]:
     """Say of the array, and of each microphone, in which direction it is known worst."""
-    of_array = result.evidence.weakest if result.evidence is not None else ""
-    sentences = [f"{of_array[:1].upper()}{of_array[1:]}."] if of_array else []
-    worst_mm = 1e3 * weakest_std_m(result)
+    sentences = []
+    if (weakest := result.weakest) is not None:
+        along = f", along with {weakest.along_with}" if weakest.along_with else ""
+        sentences.append(
+            f"The array is known worst in {weakest.motion}: {1e3 * weakest.std_m:.2g} mm per microphone{along}."
+        )
+    worst_mm = 1e3 * result.worst_std_m
     for row in np.argsort(-worst_mm)[:3]:
         values, vectors = np.linalg.eigh(result.covariance_m2[row])
         best_mm = 1e3 * float(np.sqrt(max(values[0], 0.0)))
