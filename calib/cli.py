@@ -15,6 +15,7 @@ from rigs.command import run
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calib.publication import Publication
     from calib.settings import Method, Settings
     from calib.sound import TdoaMode
 
@@ -136,10 +137,10 @@ def command(
         return None
     target = output or _result_path(files)
     settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
-    if follow:
-        _follow(session, target, settings, overwrite=overwrite)
-        return None
     publication = Publication(target, overwrite, report, plots, formats)
+    if follow:
+        _follow(session, settings, publication)
+        return None
     check_result_target(target, overwrite=overwrite)
     publication.check()
     with ExitStack() as stack:
@@ -185,10 +186,11 @@ def _result_path(sessions: tuple[Path, ...]) -> Path:
     return sessions[0].with_name(f"{name}.calib.yaml")
 
 
-def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:
+def _follow(session: Path, settings: Settings, publication: Publication) -> None:
     import json
 
     from calib.follow import follow
+    from rigs.session.reader import Session
 
     def say(progress: dict[str, object]) -> None:
         try:
@@ -196,7 +198,11 @@ def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool)
         except BrokenPipeError:  # nobody reads any more; the result is still wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    follow(session, target, settings, say, overwrite=overwrite)
+    publication.check()
+    result = follow(session, publication.target, settings, say, overwrite=publication.overwrite)
+    if result is not None:
+        with Session.open(session) as opened:
+            publication.publish([opened], result, settings)
 
 
 def _compare(files: tuple[Path, ...], console: Console) -> int:

@@ -9,14 +9,10 @@ from calib.export.array import CalibratedArray
 from calib.export.formats import endings, export
 from calib.export.stored import array_of
 from calib.outputs import beside, check_outputs, write_outputs
-from calib.report.page import report
-from calib.report.plots import LABELS, as_file, plots
-from calib.report.verdict import judge
+from calib.report.names import LABELS, REPORT
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs.session.reader import Session
-
-REPORT = ".report.html"
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,10 @@ class Publication:
         ------
         TargetError, OSError
         """
+        from calib.report.page import report  # noqa: PLC0415 - Matplotlib is large, and --follow ends with it
+        from calib.report.plots import as_file, plots  # noqa: PLC0415
+        from calib.report.verdict import judge  # noqa: PLC0415
+
         contents = export(array_of(result), self.formats) if self.formats else {}
         said = [f"Exported: {beside(self.target, ending)}" for ending in contents]
         if self.plots is not None:

@@ -17,8 +17,9 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from calib.cli import command
 from calib.evidence import arrivals_of_differences
 from calib.pipeline import calibrate
+from calib.report.names import LABELS
 from calib.report.page import report as report_page
-from calib.report.plots import COLOURS, LABELS
+from calib.report.plots import COLOURS
 from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose, rejected_arrivals
 from calib.report.verdict import judge
 from calib.report.words import command_line, weak_directions
@@ -338,3 +339,25 @@ def test_a_long_session_leaves_a_report_of_bearable_size(calibrated, tmp_path, s
     assert len(page) < 3e6
     assert b"Drawn are 150 of the board positions, 6000 of the corners, 6000 of the residuals" in page
     assert len(json.loads(re.search(rb'id="scene-data">(.*?)</script>', page, re.DOTALL)[1])["boards"]) == 150
+
+
+def test_a_session_that_was_followed_has_a_report_too(tmp_path, simulated_description):
+    session = write_measured_session(tmp_path / "s1.h5", simulated_description)
+    assert run_calibrate(session, "--follow", "--export", "csv") == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "s1.h5", "s1.calib.yaml", "s1.report.html", "s1.microphones.csv"
+    }  # fmt: skip
+
+
+def test_several_sessions_have_one_report(tmp_path, simulated_description):
+    for seed, name in enumerate("ab"):
+        write_measured_session(tmp_path / f"{name}.h5", simulated_description, seed=seed)
+    assert run_calibrate(tmp_path / "a.h5", tmp_path / "b.h5", "--export", "json") == 0
+    text = (tmp_path / "a+b.report.html").read_text()
+    assert "rig-calibrate a.h5 b.h5 --method joint --output a+b.calib.yaml" in text
+    stored = yaml.safe_load((tmp_path / "a+b.calib.yaml").read_text())
+    for share in stored["sessions"]:
+        assert share["sha256"] in text
+    exported = json.loads((tmp_path / "a+b.microphones.json").read_text())
+    assert exported["session"]["name"] == "a + b"
+    assert run_calibrate(tmp_path / "a+b.calib.yaml", "--export", "json", "--overwrite") == 0

@@ -12,8 +12,9 @@ from markupsafe import Markup
 from calib.joint.observability import board_tilts_deg
 from calib.report.geometry import MOST_BOARDS
 from calib.report.inline import inlined
+from calib.report.names import LABELS
 from calib.report.photograph import photograph
-from calib.report.plots import LABELS, MOST_POINTS, as_file, noise_floor_s, plots
+from calib.report.plots import MOST_POINTS, as_file, noise_floor_s, plots
 from calib.report.residuals import rejected_arrivals
 from calib.report.scene import scene
 from calib.report.verdict import judge

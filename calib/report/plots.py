@@ -60,14 +60,6 @@ STYLE: Any = {
 WIDTH_IN = 7.4
 MOST_POINTS = 6000
 AXES = ("x, right (m)", "y, down (m)", "z, forward (m)")
-LABELS = {
-    "array": "Array, camera and boards from above, from the camera, and from the side",
-    "coverage": "Corners of the board in the picture, and tilts and distances of the board",
-    "residuals": "Residuals by microphone and by buzzer",
-    "residuals-by-pose": "Residuals of arrivals and of corners by pose",
-    "residuals-by-distance": "Residuals against distance",
-    "held-out": "Scatter of noise floor, fitted poses and held-out poses",
-}
 VIEWS = {"above": ("From above", 0, 2), "front": ("As the camera looks", 0, 1), "side": ("From the side", 2, 1)}
 
 
