@@ -12,6 +12,7 @@ from calib.evidence import Evidence
 from calib.joint.continuation import Continuation
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
+from calib.rejections import Rejection
 from calib.result import HeldOut, Residual
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +37,8 @@ class Answer:
     held_out : HeldOut or None
     suggestions : list of Suggestion
         Further board positions that would help most, the best first.
+    rejections : list of Rejection
+        What the solve left out.
     evidence : Evidence or None
         Residuals of all measurements.
     weakest : Weakest or None
@@ -55,6 +58,7 @@ class Answer:
     warnings: list[str] = field(default_factory=list)
     held_out: HeldOut | None = None
     suggestions: list[Suggestion] = field(default_factory=list)
+    rejections: list[Rejection] = field(default_factory=list)
     weakest: Weakest | None = None
     continuation: Continuation | None = None
     speeds_m_s: tuple[float, ...] = ()

@@ -35,13 +35,18 @@ class PoseCorners:
         The session's numbers of these poses.
     corners_px : (n_poses, n_corners, 2) array
         Mean over frames of the pose; NaN for hidden corners.
-    warnings : list of str
-        Which poses were left out, and why.
+    left_out : dict of int to str
+        Other poses, and why they are not among these.
     """
 
     pose: NDArray[np.int32]
     corners_px: FloatArray
-    warnings: list[str] = field(default_factory=list)
+    left_out: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Which poses were left out, and why, in words."""
+        return [f"pose {pose} left out: {why}" for pose, why in self.left_out.items()]
 
     def only(self, chosen: NDArray[np.bool_]) -> PoseCorners:
         """Return some of the poses (n_poses,)."""
@@ -89,21 +94,21 @@ def _with_enough_corners(found: PoseCorners) -> PoseCorners:
     sane = (np.abs(found.corners_px) < ABSURD_PX).all(axis=2, keepdims=True)  # NaN is not less
     found = replace(found, corners_px=np.where(sane, found.corners_px, np.nan))
     n_corners = sane.sum(axis=(1, 2))
-    warnings = [
-        f"pose {pose} left out: only {n} corners of the board were seen"
+    poor = {
+        int(pose): f"only {n} corners of the board were seen"
         for pose, n in zip(found.pose, n_corners, strict=True)
         if n < MIN_CORNERS
-    ]
-    return replace(found.only(n_corners >= MIN_CORNERS), warnings=[*found.warnings, *warnings])
+    }
+    return replace(found.only(n_corners >= MIN_CORNERS), left_out=found.left_out | poor)
 
 
 def _seen_corners(session: Session, accepted: list[int], seen: SeenPoses) -> PoseCorners:
     seen |= _look_at(session, [pose for pose in accepted if pose not in seen])
     board = session.description.board
     found = {pose: view for pose in accepted if not isinstance(view := seen[pose], str)}
-    warnings = [f"pose {pose} left out: {why}" for pose in accepted if isinstance(why := seen[pose], str)]
+    left_out = {pose: why for pose in accepted if isinstance(why := seen[pose], str)}
     corners_px = np.array(list(found.values())).reshape(-1, board.corners[0] * board.corners[1], 2)
-    return PoseCorners(np.array(list(found), dtype=np.int32), corners_px, warnings)
+    return PoseCorners(np.array(list(found), dtype=np.int32), corners_px, left_out)
 
 
 def _look_at(session: Session, poses: list[int]) -> SeenPoses:

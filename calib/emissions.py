@@ -41,6 +41,8 @@ class EmissionTdoas:
         Which of several sessions each is of; None: there is one only.
     pose_names : dict of int to str
         What poses are called where not by their number.
+    rows : (n_emissions,) integer array or None
+        Of the session's table.
     """
 
     pose: NDArray[np.int32]
@@ -51,6 +53,16 @@ class EmissionTdoas:
     sound: SoundArrivals | None = None
     session: RowArray | None = None
     pose_names: dict[int, str] = field(default_factory=dict)
+    rows: RowArray | None = None
+
+    def pose_name(self, row: int) -> int | str:
+        """Return what the pose of an emission is called."""
+        pose = int(self.pose[row])
+        return self.pose_names.get(pose, pose)
+
+    def number(self, row: int) -> int | None:
+        """Return the number of an emission in its session's table, where it is known."""
+        return None if self.rows is None else int(self.rows[row])
 
 
 def accepted_rows(session: Session) -> RowArray:
@@ -93,7 +105,7 @@ def measure_tdoas(
     if measured is not None:
         tdoa_s = measured.tdoa_s[rows]
         tdoa_s = np.where(np.abs(tdoa_s) < ABSURD_TDOA_S, tdoa_s, np.nan)
-        return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs)
+        return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs, rows=rows)
     sound = cache.load(rows, mode) if cache else None
     if sound is None:
         sound = ear.hear(session, rows) if ear else find_arrivals(session, rows, mode)
@@ -127,7 +139,7 @@ def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> Emission
         )
     emissions, pairs = session.emissions[rows], np.array(sound.channels, dtype=np.int32)[columns]
     tdoa_s = np.where(beyond, np.nan, tdoa_s)
-    return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, pairs, warnings, sound)
+    return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, pairs, warnings, sound, rows=rows)
 
 
 def _channel_warnings(sound: SoundArrivals) -> list[str]:

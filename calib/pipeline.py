@@ -19,6 +19,7 @@ from calib.measurements import Measurements
 from calib.memory import Memory
 from calib.methods import check_heard, microphone_channels
 from calib.order import order_doubts
+from calib.rejections import session_rejections
 from calib.result import Calibration, Recording, SessionShare
 from calib.settings import Settings
 from calib.sound_report import sound_report
@@ -85,6 +86,7 @@ def calibrate(
         evaluation=_evaluation(session, channels, answer),
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
+        rejections=(*session_rejections(session, corners, tdoas), *answer.rejections),
         weakest=answer.weakest,
         recording=_recording(session),
         evidence=answer.evidence,
@@ -114,7 +116,10 @@ def measure(session: Session, settings: Settings) -> Measured:
     session_sha256 = session.sha256()
     tdoas = measure_tdoas(session, settings.tdoa, ArrivalCache(session.path, session_sha256))
     check_heard(tdoas, channels)
-    return Measured(session.name, session_sha256, session.description, corners, tdoas, session_doubts(session))
+    left_out = [rejection.of_session(session.name) for rejection in session_rejections(session, corners, tdoas)]
+    return Measured(
+        session.name, session_sha256, session.description, corners, tdoas, session_doubts(session), left_out
+    )
 
 
 def calibrate_together(sessions: list[Session], settings: Settings, tell: Callable[[str], None]) -> Calibration:
@@ -155,6 +160,7 @@ def calibrate_together(sessions: list[Session], settings: Settings, tell: Callab
         evaluation=_evaluation(sessions[0], channels, answer),
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
+        rejections=(*(each for part in parts for each in part.rejections), *answer.rejections),
         weakest=answer.weakest,
         sessions=tuple(
             SessionShare(part.name, part.sha256, len(part.corners.pose), *speed)

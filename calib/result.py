@@ -18,6 +18,7 @@ from calib.evidence import Evidence
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
+from calib.rejections import KINDS, Rejection
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
@@ -106,6 +107,8 @@ class Calibration:
         Where the method holds the speed, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
+    recording : Recording
+        How the session was recorded, of several the first.
     residual : Residual
     evaluation : Evaluation or None
     warnings : list of str
@@ -115,12 +118,12 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of Suggestion
         Further board positions that would help most, the best first.
-    recording : Recording or None
-        How the session was recorded.
     evidence : Evidence or None
         Residuals of all measurements, for the report; the YAML file leaves them out.
     weakest : Weakest or None
         How the array is known worst; None for the paper's methods.
+    rejections : tuple of Rejection
+        What the result does not rest on, and why.
     sessions : tuple of SessionShare
         Where it was made from several; the speed of sound is then their mean.
     """
@@ -134,6 +137,7 @@ class Calibration:
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View
+    recording: Recording
     residual: Residual
     evaluation: Evaluation | None
     warnings: list[str]
@@ -141,8 +145,8 @@ class Calibration:
     held_out: HeldOut | None = None
     suggestions: tuple[Suggestion, ...] = ()
     weakest: Weakest | None = None
+    rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
-    recording: Recording | None = None
     evidence: Evidence | None = None
 
     @property
@@ -197,6 +201,11 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "corner_rms_px": _rounded(result.view.rms_px, 4),
             "n_poses": len(result.view.board_to_camera),
         },
+        "recording": {
+            "sample_rate_hz": float(result.recording.sample_rate_hz),
+            "channels": list(result.recording.channels),
+            "picture_size_px": list(result.recording.picture_size_px),
+        },
         "warnings": list(result.warnings),
     }
     if result.sessions:
@@ -208,18 +217,17 @@ def as_document(result: Calibration) -> dict[str, Any]:
         document["session"] = {"name": result.session_name, "sha256": result.session_sha256}
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
-    if result.recording is not None:
-        document["recording"] = {
-            "sample_rate_hz": float(result.recording.sample_rate_hz),
-            "channels": list(result.recording.channels),
-            "picture_size_px": list(result.recording.picture_size_px),
-        }
     if result.weakest is not None:
         document["weakest"] = asdict(result.weakest) | {"std_m": _rounded(result.weakest.std_m, 7)}
     if result.suggestions:
         document["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
     if result.sound is not None:
         document["sound"] = result.sound
+    if result.rejections:
+        document["rejected"] = {
+            f"{kind}s": [rejection.document() for rejection in result.rejections if rejection.kind == kind]
+            for kind in KINDS
+        }
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
     document["array_covariance_m2"] = [[float(f"{value:.9g}") for value in row] for row in result.array_covariance_m2]

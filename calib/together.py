@@ -12,6 +12,7 @@ from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.errors import MethodError
 from calib.flaws import Flaws
+from calib.rejections import Rejection
 from calib.sound import SoundArrivals
 from rigs.description import RigDescription
 
@@ -28,6 +29,8 @@ class Measured:
     tdoas : EmissionTdoas
     doubts : list of str
         About the file.
+    rejections : list of Rejection
+        What was left out before the solve.
     """
 
     name: str
@@ -36,6 +39,7 @@ class Measured:
     corners: PoseCorners
     tdoas: EmissionTdoas
     doubts: list[str] = field(default_factory=list)
+    rejections: list[Rejection] = field(default_factory=list)
 
 
 def check_one_rig(sessions: list[Measured]) -> None:
@@ -101,8 +105,14 @@ def _emissions(parts: list[EmissionTdoas], offsets: list[int]) -> EmissionTdoas:
         np.concatenate([part.tdoa_s for part in parts]),
         parts[0].pairs,
         sound=_sound([part.sound for part in parts if part.sound is not None]),
+        rows=_joined([part.rows for part in parts]),
         session=np.repeat(np.arange(len(parts)), [len(part.pose) for part in parts]),
     )
+
+
+def _joined(rows: list[NDArray[np.intp] | None]) -> NDArray[np.intp] | None:
+    known = [each for each in rows if each is not None]
+    return np.concatenate(known) if len(known) == len(rows) else None
 
 
 def _sound(parts: list[SoundArrivals]) -> SoundArrivals | None:

@@ -20,7 +20,7 @@ from calib.pipeline import calibrate
 from calib.report.names import LABELS
 from calib.report.page import report as report_page
 from calib.report.plots import COLOURS
-from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose, rejected_arrivals
+from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose
 from calib.report.verdict import judge
 from calib.report.words import command_line, weak_directions
 from calib.result import Calibration
@@ -134,12 +134,14 @@ def test_verdict_comes_first_and_everything_is_told(page, nasty):
     assert page.locator("svg.plot").count() == len(LABELS)
 
 
-def test_rejected_arrivals_are_listed(page, calibrated):
-    rejected = rejected_arrivals(calibrated[0].evidence, calibrated[0].channels)
-    assert (rejected[0].pose, rejected[0].buzzer, rejected[0].channel) == (1, 3, 1)
-    assert rejected[0].residual_us == pytest.approx(-200, abs=40)
-    cells = page.get_by_role("region", name="Table: Rejected arrivals").locator("tbody tr").first.locator("td")
-    assert cells.all_inner_texts() == ["1", "3", "1", f"{rejected[0].residual_us:+.2f}"]
+def test_what_was_rejected_is_listed_with_its_reason(page, calibrated):
+    (rejected,) = calibrated[0].rejections
+    cells = page.get_by_role("region", name="Table: Rejected").locator("tbody tr").first.locator("th, td")
+    assert cells.all_inner_texts() == ["arrival", "1", "8", "3", "1", rejected.reason]
+    evidence = calibrated[0].evidence
+    row, column = np.argwhere(evidence.present & ~evidence.used)[0]
+    assert (evidence.pose[row], evidence.buzzer[row], calibrated[0].channels[column]) == (1, 3, 1)
+    assert evidence.residuals_s[row, column] == pytest.approx(-2e-4, abs=4e-5)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -196,7 +196,7 @@ def _prior_std(blocks: Blocks, description: RigDescription) -> FloatArray:
     std = np.full(blocks.size, np.inf)
     std[blocks.buzzers] = board.buzzer_std_m
     std[blocks.scale] = board.square_size_std_m / board.square_size_m
-    std[blocks.camera] = _camera_std(description.camera)
+    std[blocks.camera] = camera_std(description.camera)
     std[blocks.corners] = np.tile(corner_std_m(board), blocks.n_corners)
     return std
 
@@ -211,7 +211,8 @@ def corner_std_m(board: Board) -> FloatArray:
     return np.array([board.print_std_m, board.print_std_m, board.flatness_std_m])
 
 
-def _camera_std(camera: Camera) -> FloatArray:
+def camera_std(camera: Camera) -> FloatArray:
+    """Return how well intrinsics (9,) are known beforehand."""
     width = camera.size_px[0]
     if isinstance(camera.intrinsics, Intrinsics):
         focal_px = GIVEN_FOCAL_SHARE * np.array(camera.intrinsics.focal_px)

@@ -14,9 +14,10 @@ from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
-from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
 from calib.joint.bias import without_bias
 from calib.joint.continuation import Continuation
+from calib.joint.contradictions import check_held_intrinsics, check_suspects
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import Suggestion, suggest_poses
 from calib.joint.observability import observability_doubts, weakest_motion
@@ -30,6 +31,7 @@ from calib.joint.suspicion import suspect_doubts
 from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
 from calib.joint.unknowns import Unknowns
+from calib.rejections import Rejection, solve_rejections
 from calib.settings import Settings
 from rigs.description import Intrinsics, Medium, RigDescription
 from rigs.geometry import Pose
@@ -80,7 +82,10 @@ def answer_jointly(
         hold=settings.hold, find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
     )  # fmt: skip
     solution, rival_m = _solved(problem, guess, view, settings, before)
+    check_held_intrinsics(solution, camera_std(description.camera))
     solution, suspects = find_suspects(solution)
+    doubts = suspect_doubts(suspects, solution, description, channels)
+    check_suspects(suspects, doubts)
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
     if chosen.alone:
         solution = _with_pairs_that_fit(solution, chosen)
@@ -100,12 +105,16 @@ def answer_jointly(
         residual=fitted.residual(),
         warnings=[
             *_rival_doubts(at.microphones_m, rival_m, channels),
-            *suspect_doubts(suspects, solution, description, channels),
+            *doubts,
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
         ],
         held_out=hold_out(solution, chosen) if is_last else None,
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
+        rejections=[
+            *_poses_without_place(view, corners, tdoas),
+            *solve_rejections(solution, tdoas, emission_rows(view, tdoas), nodes(description, channels)),
+        ],
         weakest=weakest_motion(solution, covariance, len(channels)),
         continuation=Continuation(at, view.pose, solution.scales.arrivals),
         speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
@@ -162,6 +171,13 @@ def _with_arrivals_of_rejected_pairs(residuals_s: FloatArray, solution: JointSol
     present = np.isfinite(fitting)
     centre_s = np.where(present, fitting, 0.0).sum(axis=1) / np.maximum(present.sum(axis=1), 1)
     return np.where(np.isfinite(residuals_s), residuals_s, by_pairs_s - centre_s[:, None])
+
+
+def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:
+    lost = np.setdiff1d(corners.pose, view.pose).tolist()
+    return [
+        Rejection("pose", "no place of the board fits its corners", tdoas.pose_names.get(pose, pose)) for pose in lost
+    ]
 
 
 def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[Suggestion]:

@@ -40,7 +40,6 @@ def board_rims_m(result: Calibration, board: Board) -> FloatArray:
 
 def frustum_m(result: Calibration) -> FloatArray:
     """Return the corners (4, 3) of what the camera sees, some way before it."""
-    assert result.recording is not None
     (width, height), intrinsics = result.recording.picture_size_px, result.view.intrinsics
     focal_px, principal_px = np.array(intrinsics.focal_px), np.array(intrinsics.principal_px)
     corners_px = np.array([(0, 0), (width, 0), (width, height), (0, height)])

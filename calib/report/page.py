@@ -10,12 +10,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from calib.joint.observability import board_tilts_deg
+from calib.rejections import KINDS, Rejection
 from calib.report.geometry import MOST_BOARDS
 from calib.report.inline import inlined
 from calib.report.names import LABELS
 from calib.report.photograph import photograph
 from calib.report.plots import MOST_POINTS, as_file, noise_floor_s, plots
-from calib.report.residuals import rejected_arrivals
 from calib.report.scene import scene
 from calib.report.verdict import judge
 from calib.report.words import MEANINGS, command_line, settings_table, versions_table, weak_directions
@@ -71,7 +71,7 @@ def report(sessions: list[Session], result: Calibration, settings: Settings, res
         drawn_sentence=_drawn_sentence(result),
         held_out_sentence=_held_out_sentence(result),
         rejected_sentence=_rejected_sentence(result),
-        rejected=rejected_arrivals(result.evidence, result.channels)[:MOST_ROWS] if result.evidence else [],
+        rejected=_rejected(result),
         sound_flaws=_sound_flaws(result),
         truth=_truth(result),
         meanings=MEANINGS,
@@ -183,11 +183,16 @@ def _rejected_sentence(result: Calibration) -> str:
     if evidence is None:
         return f"{residual.n_rejected} of {total} TDOAs were rejected by the fit."
     n_rejected, n_arrivals = int((evidence.present & ~evidence.used).sum()), int(evidence.present.sum())
-    listed = f" The worst {MOST_ROWS} are listed." if n_rejected > MOST_ROWS else ""
+    listed = f" The worst {MOST_ROWS} are listed." if len(result.rejections) > MOST_ROWS else ""
     return (
         f"{n_rejected} of {n_arrivals} arrivals, and {residual.n_rejected} of {total} TDOAs, were rejected by the "
         f"fit.{listed}"
     )
+
+
+def _rejected(result: Calibration) -> list[Rejection]:
+    """Return what was left out: poses, channels, emissions, then single arrivals, the worst first."""
+    return sorted(result.rejections, key=lambda one: (KINDS.index(one.kind), -one.sigmas))[:MOST_ROWS]
 
 
 def _sound_flaws(result: Calibration) -> list[tuple[str, str, str]]:
@@ -195,9 +200,11 @@ def _sound_flaws(result: Calibration) -> list[tuple[str, str, str]]:
         return []
     rows = [(f"channel {one['channel']}", ", ".join(one["flaws"]), "all along") for one in result.sound["channels"]]
     for one in result.sound["emissions"]:
+        if one["left_out"]:  # stands among the rejected
+            continue
         where = f"emission {one['emission']}, pose {one['pose']}, buzzer {one['buzzer']}"
         reasons = [f"{flaw} (channel {', '.join(map(str, channels))})" for flaw, channels in one["flaws"].items()]
-        rows.append((where, "; ".join(reasons), "left out" if one["left_out"] else "used as far as it was heard"))
+        rows.append((where, "; ".join(reasons), "used as far as it was heard"))
     return rows[:MOST_ROWS]
 
 

@@ -113,7 +113,6 @@ def draw_array(result: Calibration, description: RigDescription) -> Figure:
 
 def draw_coverage(result: Calibration, evidence: Evidence) -> Figure:
     """Draw where in the picture the board was, how it was tilted, and how far away it was."""
-    assert result.recording is not None
     width, height = result.recording.picture_size_px
     figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
     seen, tilted = figure.subplots(1, 2, width_ratios=[1.55, 1])

@@ -1,4 +1,4 @@
-"""Residuals by microphone, buzzer, pose and distance, and what was rejected."""
+"""Residuals by microphone, buzzer, pose and distance."""
 
 from __future__ import annotations
 
@@ -36,16 +36,6 @@ class Group:
     rms_us: float
 
 
-@dataclass(frozen=True)
-class Rejected:
-    """An arrival that the answer does not rest on."""
-
-    pose: int
-    buzzer: int
-    channel: int
-    residual_us: float
-
-
 def by_channel(evidence: Evidence, channels: tuple[int, ...]) -> list[Group]:
     """Return a group for each microphone."""
     labels = np.broadcast_to(np.array(channels), evidence.residuals_s.shape)
@@ -70,21 +60,6 @@ def over_distance(evidence: Evidence) -> tuple[FloatArray, FloatArray]:
     bins = [part for part in np.array_split(order, N_BINS) if len(part) >= LEAST_IN_BIN]
     centres_m = np.array([distances_m[part].mean() for part in bins])
     return centres_m, np.array([np.sqrt(np.mean(residuals_us[part] ** 2)) for part in bins])
-
-
-def rejected_arrivals(evidence: Evidence, channels: tuple[int, ...]) -> list[Rejected]:
-    """Return the rejected arrivals, the worst first."""
-    rows, columns = np.nonzero(evidence.present & ~evidence.used)
-    found = [
-        Rejected(
-            int(evidence.pose[row]),
-            int(evidence.buzzer[row]),
-            channels[column],
-            float(1e6 * evidence.residuals_s[row, column]),
-        )
-        for row, column in zip(rows, columns, strict=True)
-    ]
-    return sorted(found, key=lambda one: -abs(one.residual_us))
 
 
 def corner_rms_by_pose(evidence: Evidence) -> FloatArray:
