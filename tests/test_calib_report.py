@@ -22,7 +22,7 @@ from calib.report.page import report as report_page
 from calib.report.plots import COLOURS
 from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose
 from calib.report.verdict import judge
-from calib.report.words import command_line, weak_directions
+from calib.report.words import command_line, short, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs.command import run
@@ -257,6 +257,13 @@ def test_weak_directions_are_named(calibrated):
     sentences = weak_directions(dataclasses.replace(calibrated[0], array_covariance_m2=covariance_m2))
     assert sentences[0].startswith("The array is known worst in its ")
     assert sentences[1] == "Channel 5: 3 mm in depth (z); 0.1 mm where it is known best."
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(121.4, "120"), (0.04262, "0.043"), (3.0, "3"), (12345.0, "12000"), (0.0, "0")]
+)
+def test_numbers_are_short_and_have_no_exponent(value, words):
+    assert short(value) == words
 
 
 def test_residuals_are_grouped(calibrated):

@@ -18,7 +18,7 @@ from calib.report.photograph import photograph
 from calib.report.plots import MOST_POINTS, as_file, noise_floor_s, plots
 from calib.report.scene import scene
 from calib.report.verdict import judge
-from calib.report.words import MEANINGS, command_line, settings_table, versions_table, weak_directions
+from calib.report.words import MEANINGS, command_line, settings_table, short, versions_table, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs import __version__
@@ -26,7 +26,7 @@ from rigs.session.info import summary
 from rigs.session.reader import Session
 
 HERE = Path(__file__).parent
-MOST_ROWS, MOST_DISTANCES = 200, 12
+MOST_ROWS, MOST_DISTANCES = 60, 12
 FINE_M = 0.001
 CLASSES = {"good": "good", "usable": "usable", "do not use": "bad"}
 MARKS = {"good": "✓", "usable": "!", "do not use": "✕"}
@@ -93,14 +93,14 @@ def _figures(result: Calibration) -> list[tuple[str, str, str]]:
     std_mm = 1e3 * float(np.sqrt(np.mean(np.sum(result.std_m**2, axis=1))))
     figures = [
         ("Microphones", str(len(result.channels)), f"from {len(result.view.pose)} board positions"),
-        ("Standard deviation of a microphone", f"{std_mm:.2g}", "mm, root mean square"),
-        ("Scatter of the TDOAs", f"{1e6 * result.residual.robust_sigma_s:.3g}", "µs"),
+        ("Standard deviation of a microphone", f"{short(std_mm)}", "mm, root mean square"),
+        ("Scatter of the TDOAs", f"{short(1e6 * result.residual.robust_sigma_s, 3)}", "µs"),
     ]
     if result.held_out is not None:
-        figures.append(("The same, held-out poses", f"{1e6 * result.held_out.robust_sigma_s:.3g}", "µs"))
-    figures.append(("Corners of the board", f"{result.view.rms_px:.2g}", "px rms"))
+        figures.append(("The same, held-out poses", f"{short(1e6 * result.held_out.robust_sigma_s, 3)}", "µs"))
+    figures.append(("Corners of the board", f"{short(result.view.rms_px)}", "px rms"))
     if result.evaluation is not None:
-        figures.append(("Error against the truth", f"{1e3 * result.evaluation.rmse_m:.2g}", "mm rms"))
+        figures.append(("Error against the truth", f"{short(1e3 * result.evaluation.rmse_m)}", "mm rms"))
     return figures
 
 
@@ -169,11 +169,11 @@ def _held_out_sentence(result: Calibration) -> str:
     if result.held_out is None:
         return ""
     floor_s = noise_floor_s(result)
-    beside = f" The noise in the recording alone gives {1e6 * floor_s:.3g} µs." if floor_s is not None else ""
+    beside = f" The noise in the recording alone gives {short(1e6 * floor_s, 3)} µs." if floor_s is not None else ""
     return (
         f"Each fifth of the poses was predicted from the others: they scatter by "
-        f"{1e6 * result.held_out.robust_sigma_s:.3g} µs, the fitted ones by {1e6 * result.residual.robust_sigma_s:.3g} "
-        f"µs.{beside} The microphones of the five folds spread by {1e3 * result.held_out.spread_m:.2g} mm."
+        f"{short(1e6 * result.held_out.robust_sigma_s, 3)} µs, the fitted ones by {short(1e6 * result.residual.robust_sigma_s, 3)} "
+        f"µs.{beside} The microphones of the five folds spread by {short(1e3 * result.held_out.spread_m)} mm."
     )
 
 
@@ -183,7 +183,9 @@ def _rejected_sentence(result: Calibration) -> str:
     if evidence is None:
         return f"{residual.n_rejected} of {total} TDOAs were rejected by the fit."
     n_rejected, n_arrivals = int((evidence.present & ~evidence.used).sum()), int(evidence.present.sum())
-    listed = f" The worst {MOST_ROWS} are listed." if len(result.rejections) > MOST_ROWS else ""
+    listed = (
+        f" The worst {MOST_ROWS} are listed, the result's file has all." if len(result.rejections) > MOST_ROWS else ""
+    )
     return (
         f"{n_rejected} of {n_arrivals} arrivals, and {residual.n_rejected} of {total} TDOAs, were rejected by the "
         f"fit.{listed}"
@@ -213,13 +215,13 @@ def _truth(result: Calibration) -> list[tuple[str, str]]:
     if found is None:
         return []
     rows = [
-        ("error, all microphones", f"{1e3 * found.rmse_m:.3g} mm root mean square in the camera frame"),
-        ("after rigid alignment", f"{1e3 * found.rmse_aligned_m:.3g} mm: the array's shape alone"),
+        ("error, all microphones", f"{short(1e3 * found.rmse_m, 3)} mm root mean square in the camera frame"),
+        ("after rigid alignment", f"{short(1e3 * found.rmse_aligned_m, 3)} mm: the array's shape alone"),
         ("turned by", f"{found.rotation_deg:.2f} degrees"),
-        ("distances between microphones", f"{1e3 * found.distance_rmse_m:.3g} mm root mean square"),
+        ("distances between microphones", f"{short(1e3 * found.distance_rmse_m, 3)} mm root mean square"),
     ]
     if found.paper_rmse_m is not None:
-        rows.append(("paper's figure", f"{1e3 * found.paper_rmse_m:.3g} mm (microphones 1 to 7 summed, over 8)"))
+        rows.append(("paper's figure", f"{short(1e3 * found.paper_rmse_m, 3)} mm (microphones 1 to 7 summed, over 8)"))
     return rows
 
 
@@ -227,7 +229,7 @@ def _fit(result: Calibration) -> list[tuple[str, str]]:
     intrinsics, residual = result.view.intrinsics, result.residual
     held = "held, known to" if result.method != "joint" else "found,"
     return [
-        ("TDOAs", f"{residual.n_used} used, {residual.n_rejected} rejected; {1e6 * residual.rms_s:.3g} µs rms"),
+        ("TDOAs", f"{residual.n_used} used, {residual.n_rejected} rejected; {short(1e6 * residual.rms_s, 3)} µs rms"),
         ("speed of sound", f"{result.speed_of_sound_m_s:.2f} m/s, {held} ± {result.speed_of_sound_std_m_s:.2f} m/s"),
         ("camera", f"from the {result.view.source}; corners fit to {result.view.rms_px:.3f} px rms"),
         ("focal length", _listed(intrinsics.focal_px, ".2f") + " px"),

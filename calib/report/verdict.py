@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.doubts import DOUBTFUL_SPEED_SIGMAS, GOOD_RMS_PX, LARGE_REJECTED_SHARE
 from calib.joint.observability import LITTLE_TILT_DEG, board_tilts_deg
+from calib.report.words import short
 from calib.result import Calibration
 from rigs.description import RigDescription
 
@@ -136,21 +137,26 @@ def _of_warnings(result: Calibration) -> Criterion:
 def _at_most(name: str, value: float, limits: tuple[float, float], unit: str, why: str) -> Criterion:
     good, usable = limits
     level: Level = "good" if value <= good else "usable" if value <= usable else "do not use"
-    return Criterion(name, f"{value:.3g} {unit}", f"≤ {good:g} {unit}", f"≤ {usable:g} {unit}", level, why)
+    return Criterion(name, f"{short(value, 3)} {unit}", f"≤ {good:g} {unit}", f"≤ {usable:g} {unit}", level, why)
 
 
 def _at_least(name: str, value: float, limits: tuple[float, float], unit: str, why: str) -> Criterion:
     good, usable = limits
     level: Level = "good" if value >= good else "usable" if value >= usable else "do not use"
     return Criterion(
-        name, f"{value:.3g} {unit}".strip(), f"≥ {good:g} {unit}".strip(), f"≥ {usable:g} {unit}".strip(), level, why
+        name,
+        f"{short(value, 3)} {unit}".strip(),
+        f"≥ {good:g} {unit}".strip(),
+        f"≥ {usable:g} {unit}".strip(),
+        level,
+        why,
     )
 
 
 def _sentence(result: Calibration, level: Level, criteria: list[Criterion]) -> str:
     std_mm = 1e3 * float(np.sqrt(np.mean(np.sum(result.std_m**2, axis=1))))
     n_mics = len(result.channels)
-    found = f"{n_mics} microphones are placed in the camera's frame to {std_mm:.2g} mm (one standard deviation)"
+    found = f"{n_mics} microphones are placed in the camera's frame to {short(std_mm)} mm (one standard deviation)"
     weak = [criterion.name.lower() for criterion in criteria if criterion.level == level]
     if level == "good":
         return f"{found}, and nothing speaks against them."

@@ -70,6 +70,11 @@ MEANINGS = (
 )
 
 
+def short(value: float, digits: int = 2) -> str:
+    """Return a number with so many significant digits and without an exponent, as people write it."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
 def command_line(sessions: list[str], result_name: str, settings: Settings) -> str:
     """Return the command that makes the result again."""
     usual = Settings()
@@ -111,7 +116,7 @@ def weak_directions(result: Calibration) -> list[str]:
     if (weakest := result.weakest) is not None:
         along = f", along with {weakest.along_with}" if weakest.along_with else ""
         sentences.append(
-            f"The array is known worst in {weakest.motion}: {1e3 * weakest.std_m:.2g} mm per microphone{along}."
+            f"The array is known worst in {weakest.motion}: {short(1e3 * weakest.std_m)} mm per microphone{along}."
         )
     worst_mm = 1e3 * result.worst_std_m
     for row in np.argsort(-worst_mm)[:3]:
@@ -119,7 +124,7 @@ def weak_directions(result: Calibration) -> list[str]:
         best_mm = 1e3 * float(np.sqrt(max(values[0], 0.0)))
         where = _direction(vectors[:, -1]) if worst_mm[row] > TELLING * best_mm else "about alike in all directions"
         sentences.append(
-            f"Channel {result.channels[row]}: {worst_mm[row]:.2g} mm {where}; {best_mm:.2g} mm where it is known best."
+            f"Channel {result.channels[row]}: {short(worst_mm[row])} mm {where}; {short(best_mm)} mm where it is known best."
         )
     return sentences
 
