@@ -12,6 +12,7 @@ from calib.evidence import Evidence
 from calib.joint.continuation import Continuation
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
+from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import Rejection
 from calib.result import HeldOut, Residual
 
@@ -64,3 +65,8 @@ class Answer:
     speeds_m_s: tuple[float, ...] = ()
     speed_stds_m_s: tuple[float, ...] = ()
     evidence: Evidence | None = None
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance (n_mics, 3, 3) of each microphone."""
+        return microphone_covariances(self.array_covariance_m2, len(self.microphones_m))

@@ -170,10 +170,11 @@ def _held_out_sentence(result: Calibration) -> str:
         return ""
     floor_s = noise_floor_s(result)
     beside = f" The noise in the recording alone gives {short(1e6 * floor_s, 3)} µs." if floor_s is not None else ""
+    held_out, fitted = result.held_out, result.residual
     return (
-        f"Each fifth of the poses was predicted from the others: they scatter by "
-        f"{short(1e6 * result.held_out.robust_sigma_s, 3)} µs, the fitted ones by {short(1e6 * result.residual.robust_sigma_s, 3)} "
-        f"µs.{beside} The microphones of the five folds spread by {short(1e3 * result.held_out.spread_m)} mm."
+        "Each fifth of the poses was predicted from the others: they scatter by "
+        f"{short(1e6 * held_out.robust_sigma_s, 3)} µs, the fitted ones by {short(1e6 * fitted.robust_sigma_s, 3)} "
+        f"µs.{beside} The microphones of the five folds spread by {short(1e3 * held_out.spread_m)} mm."
     )
 
 

@@ -123,9 +123,8 @@ def weak_directions(result: Calibration) -> list[str]:
         values, vectors = np.linalg.eigh(result.covariance_m2[row])
         best_mm = 1e3 * float(np.sqrt(max(values[0], 0.0)))
         where = _direction(vectors[:, -1]) if worst_mm[row] > TELLING * best_mm else "about alike in all directions"
-        sentences.append(
-            f"Channel {result.channels[row]}: {short(worst_mm[row])} mm {where}; {short(best_mm)} mm where it is known best."
-        )
+        known_mm = f"{short(worst_mm[row])} mm {where}; {short(best_mm)} mm where it is known best"
+        sentences.append(f"Channel {result.channels[row]}: {known_mm}.")
     return sentences
 
 
