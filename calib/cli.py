@@ -15,6 +15,7 @@ from rigs.command import run
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calib.publication import Publication
     from calib.settings import Method, Settings
     from calib.sound import TdoaMode
 
@@ -76,6 +77,14 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     help="Solve again with every pose that is being captured; prints a line of JSON each time.",
 )
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
+@click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
+@click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
+@click.option(
+    "--export",
+    metavar="NAMES",
+    help="Write files for other tools: all, or some of acoular,pyroomacoustics,odas,ros2,urdf,kalibr,matlab,csv,json. "
+    "With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
+)
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
     files: tuple[Path, ...],
@@ -93,16 +102,21 @@ def command(
     ignore_sync: bool,
     follow: bool,
     compare: bool,
+    report: bool,
+    plots: str | None,
+    export: str | None,
 ) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
-    Several sessions of one rig are solved together. Writes SESSION.calib.yaml beside the (first) session, of several
-    SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good, 2 usage,
-    5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
+    Several sessions of one rig are solved together. Writes SESSION.calib.yaml and SESSION.report.html beside the
+    (first) session, of several SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good,
+    2 usage, 5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
+    from calib.export.formats import chosen_formats
     from calib.pipeline import calibrate, calibrate_together
+    from calib.publication import Publication
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from calib.settings import Settings
@@ -117,12 +131,18 @@ def command(
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
+    formats = chosen_formats(export)
+    if session.suffix in {".yaml", ".yml"}:
+        _export(files, output, overwrite, formats, console)
+        return None
     target = output or _result_path(files)
     settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    publication = Publication(target, overwrite, report, plots, formats)
     if follow:
-        _follow(session, target, settings, overwrite=overwrite)
+        _follow(session, settings, publication)
         return None
     check_result_target(target, overwrite=overwrite)
+    publication.check()
     with ExitStack() as stack:
         status = stack.enter_context(console.status("opening"))
         sessions = [stack.enter_context(Session.open(file)) for file in files]
@@ -132,9 +152,31 @@ def command(
 
         together = len(sessions) > 1
         result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
-    write_calibration(result, target, overwrite=overwrite)
+        write_calibration(result, target, overwrite=overwrite)
+        tell("writing what stands beside the result")
+        published = publication.publish(sessions, result, settings)
     show(result, target, console)
+    for line in published:
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     return None
+
+
+def _export(
+    files: tuple[Path, ...], output: Path | None, overwrite: bool, formats: tuple[str, ...], console: Console
+) -> None:
+    from calib.errors import MethodError
+    from calib.export.stored import read_array
+    from calib.publication import Publication
+
+    result = files[0]
+    if len(files) > 1:
+        raise MethodError(f"{result}: a result: name one of them, or two with --compare")
+    if not formats:
+        raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
+    publication = Publication(output or result, overwrite, report=False, formats=formats)
+    publication.check()
+    for line in publication.export_only(read_array(result)):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 def _result_path(sessions: tuple[Path, ...]) -> Path:
@@ -146,10 +188,11 @@ def _result_path(sessions: tuple[Path, ...]) -> Path:
     return sessions[0].with_name(f"{name}.calib.yaml")
 
 
-def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:
+def _follow(session: Path, settings: Settings, publication: Publication) -> None:
     import json
 
     from calib.follow import follow
+    from rigs.session.reader import Session
 
     def say(progress: dict[str, object]) -> None:
         try:
@@ -157,7 +200,11 @@ def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool)
         except BrokenPipeError:  # nobody reads any more; the result is still wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    follow(session, target, settings, say, overwrite=overwrite)
+    publication.check()
+    result = follow(session, publication.target, settings, say, overwrite=publication.overwrite)
+    if result is not None:
+        with Session.open(session) as opened:
+            publication.publish([opened], result, settings)
 
 
 def _compare(files: tuple[Path, ...], console: Console) -> int:
