@@ -60,7 +60,7 @@ tests: setup
 
 lock:
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-emit-find-links --no-header \
-	    --extra aislab --extra plot --group dev --output-file requirements.lock pyproject.toml
+	    --extra aislab --extra plot --extra study --group dev --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz
