@@ -222,6 +222,7 @@ class Run(Section):
     n_poses: tuple[Annotated[int, Field(ge=1, le=10000)], ...] = Field(
         (), description="random subsets of so many poses, drawn for each repetition; all poses where nothing is given"
     )
+    starts: Literal["once", "each repetition"] | None = Field(None, description="of this run, if not as in start.drawn")
     repetitions: int | None = Field(None, ge=1, le=MAX_REPETITIONS, description="of this run, if not the study's")
 
 

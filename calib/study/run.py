@@ -16,7 +16,7 @@ from calib.study.scene import Scene, cases, make_scene
 from calib.study.summary import CaseSummary, summarise, summary_csv
 from calib.study.workers import Workers, compute
 
-QUICK_REPETITIONS, QUICK_SIZES = 2, 3
+QUICK_REPETITIONS, QUICK_SIZES = 1, 2
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,8 @@ class Case:
         Size of random subsets; None: all poses.
     method : str
     n_repetitions : int
+    starts : str
+        When first guesses are drawn: "once" or "each repetition".
     """
 
     number: int
@@ -51,6 +53,7 @@ class Case:
     noise: str
     method: MethodName
     n_repetitions: int
+    starts: str
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,8 @@ def cases(study: StudyDescription) -> list[Case]:
         ):
             situation = situations.setdefault((array, poses, n_poses, noise), len(situations))
             n = run.repetitions or study.repetitions
-            found.append(Case(len(found), situation, array, board, poses, n_poses, noise, method, n))
+            starts = run.starts or study.start.drawn
+            found.append(Case(len(found), situation, array, board, poses, n_poses, noise, method, n, starts))
     return found
 
 
@@ -147,7 +151,7 @@ def make_scene(study: StudyDescription, case: Case, published: Published) -> Sce
         noise=noise,
         measured_s=measured_s,
         n_subset=case.n_poses,
-        start=study.start,
+        start=study.start.model_copy(update={"drawn": case.starts}),
         search_judged_in=study.search_judged_in,
     )
 

@@ -6,15 +6,19 @@ draws, and arrives once; so nothing is lost or doubled.
 
 from __future__ import annotations
 
+import logging
 import os
+import re
+import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from calib.study.errors import ClusterError
+from calib.study.errors import ClusterError, StudyError
 
 CONNECT_S, POLL_S, WORKERLESS_S = 10, 1, 60
 WAITING_PER_WORKER = 4  # parts sent ahead: enough to keep workers busy, few enough to hold in memory
@@ -67,6 +71,10 @@ def _client(workers: Workers) -> Iterator[Any]:
     import dask  # noqa: PLC0415 (slow to import, and optional)
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
+    for name in ("distributed", "asyncio"):  # what they log of a lost connection is told in one line here
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for logger in [name for name in logging.root.manager.loggerDict if name.startswith("distributed.")]:
+        logging.getLogger(logger).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S}s"}))
         if workers.cluster is None:
@@ -74,19 +82,31 @@ def _client(workers: Workers) -> Iterator[Any]:
             stack.callback(local.close)
             yield stack.enter_context(Client(local))
             return
+        _check_answers(workers.cluster)
         try:
-            client = stack.enter_context(Client(workers.cluster, timeout=CONNECT_S, set_as_default=False))
+            client = stack.enter_context(Client(workers.cluster, timeout=CONNECT_S))
+        except (OSError, TimeoutError) as error:
+            raise _no_answer(workers.cluster) from error
+        try:
             client.wait_for_workers(1, timeout=CONNECT_S)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise _not_there(workers.cluster, error) from error
+        except TimeoutError as error:
+            remedy = f"start some with `dask worker {workers.cluster}`"
+            raise ClusterError(f"{workers.cluster}: the scheduler has no workers: {remedy}") from error
         yield client
 
 
-def _not_there(address: str, error: Exception) -> ClusterError:
-    if isinstance(error, ValueError):
-        return ClusterError(f"{address}: not the address of a scheduler: give one such as tcp://host:8786")
-    if "workers" in str(error):
-        return ClusterError(f"{address}: the scheduler has no workers: start some with `dask worker {address}`")
+def _check_answers(address: str) -> None:
+    """Knock once: the client itself would go on knocking for a while at a door that is not there."""
+    form = re.fullmatch(r"(tcp|tls)://([^/\s]+):(\d{1,5})", address)
+    if form is None:
+        raise StudyError(f"{address}: not the address of a scheduler: give one such as tcp://host:8786")
+    try:
+        socket.create_connection((form[2].strip("[]"), int(form[3])), timeout=CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise _no_answer(address) from error
+
+
+def _no_answer(address: str) -> ClusterError:
     return ClusterError(f"{address}: no scheduler answers: start one with `dask scheduler`, or leave --cluster out")
 
 
@@ -109,16 +129,15 @@ def _compute_on(
         except TimeoutError:
             _check_alive(client, heard_s)
             continue
+        except _lost_errors() as error:
+            raise _lost(client) from error
         heard_s = time.monotonic()
         for future in finished:
             done(waiting.pop(future), _outcome(client, future))
 
 
 def _outcome(client: Any, future: Any) -> Any:
-    from concurrent.futures import CancelledError  # noqa: PLC0415
-
     from distributed import KilledWorker  # noqa: PLC0415
-    from distributed.comm import CommClosedError  # noqa: PLC0415
 
     try:
         return future.result()
@@ -126,8 +145,16 @@ def _outcome(client: Any, future: Any) -> Any:
         raise ClusterError(
             "workers die again and again over the same part: look at their log, or their memory"
         ) from error
-    except (CancelledError, CommClosedError, OSError, TimeoutError) as error:
+    except _lost_errors() as error:
         raise _lost(client) from error
+
+
+def _lost_errors() -> tuple[type[BaseException], ...]:
+    """Return what is raised when the connection to the scheduler breaks."""
+    from distributed.client import FuturesCancelledError  # noqa: PLC0415
+    from distributed.comm import CommClosedError  # noqa: PLC0415
+
+    return FuturesCancelledError, CancelledError, CommClosedError
 
 
 def _n_workers(client: Any) -> int:
