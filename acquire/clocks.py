@@ -50,6 +50,11 @@ class Clocks:
         """Audio comes late, and it is not yet clear whether samples were lost."""
         return self._samples.is_in_doubt
 
+    @property
+    def is_settled(self) -> bool:
+        """The stamps of the audio have kept step with its samples for a while."""
+        return self._samples.is_settled
+
     def hear(self, first_sample: int, block: AudioBlock) -> float | None:
         """Take an audio block's stamp; return how many seconds are missing before it, as `SampleClock.add` does."""
         if block.flags & (layout.FLAG_OVERFLOW | layout.FLAG_GAP):

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from pyroomacoustics.experimental import tdoa as pra_tdoa
@@ -25,7 +26,7 @@ from calib.arrivals import PulseCompressor
 from calib.consistency import agree
 from calib.emissions import measure_tdoas
 from calib.gcc import PairCorrelator, candidates_of
-from calib.sound import find_arrivals
+from calib.sound import TdoaMode, find_arrivals
 from calib.tdoa import gcc_phat
 from rigs.session.reader import Session
 
@@ -66,7 +67,7 @@ def row(method: str, made: RoomSound, tdoa_s: np.ndarray) -> None:
     )
 
 
-def ours(made: RoomSound, mode: str) -> np.ndarray:
+def ours(made: RoomSound, mode: TdoaMode) -> np.ndarray:
     with (
         tempfile.TemporaryDirectory() as folder,
         Session.open(write_room_session(Path(folder) / "s.h5", made)) as session,
@@ -135,7 +136,7 @@ def speed() -> None:
     print("\n414 emissions x 8 channels x 0.5 s at 48 kHz, all 28 pairs; the peer 16-fold, ours finer")
     made = make_room_sound(Scenario(n_poses=3, seed=5, max_order=10))
     with session_of(made) as session:
-        long = LongSession(session, made, 414 // len(made.pose))
+        long = long_session(session, made, 414 // len(made.pose))
     rows = np.arange(len(long.emissions))
     sound = np.array([long.audio(first - 8000, RATE_HZ // 2).T for first in long.emissions["expected_sample"]])
     noise = np.full((8, RATE_HZ // 4 + 1), made.sound[:4800].var() * RATE_HZ / 2)
@@ -151,7 +152,7 @@ def speed() -> None:
 
     theirs = best(a_few_pairs, 5) / 12 * 28 * len(rows)
     print(f"  {'':44}{'wall':>9}{'ratio':>9}{'processor':>12}{'ratio':>9}")
-    jobs = {
+    jobs: dict[str, Callable[[], object]] = {
         "pyroomacoustics tdoa, pair by pair": lambda: None,
         "rig-calibrate, gcc-phat, from the session": lambda: find_arrivals(long, rows, "gcc-phat"),
         "rig-calibrate, matched, from the session": lambda: find_arrivals(long, rows, "matched"),
@@ -164,14 +165,14 @@ def speed() -> None:
         )
 
 
-def best(work: Callable[[], None], n_times: int) -> np.ndarray:
+def best(work: Callable[[], object], n_times: int) -> np.ndarray:
     """Return the shortest wall time and processor time."""
     times = []
     for _ in range(n_times):
         begin, cpu = time.perf_counter(), time.process_time()
         work()
         times.append((time.perf_counter() - begin, time.process_time() - cpu))
-    return np.min(times, axis=0)
+    return np.asarray(np.min(times, axis=0))
 
 
 class LongSession:
@@ -192,6 +193,11 @@ class LongSession:
         return np.concatenate(parts)
 
 
+def long_session(session: Session, made: RoomSound, n_tiles: int) -> Session:
+    """Return a `LongSession` for functions that want a session; it has all that those which find arrivals look at."""
+    return cast(Session, LongSession(session, made, n_tiles))
+
+
 @contextmanager
 def session_of(made: RoomSound) -> Iterator[Session]:
     with tempfile.TemporaryDirectory() as folder:
@@ -206,7 +212,7 @@ def memory() -> None:
         tempfile.TemporaryDirectory() as folder,
         Session.open(write_room_session(Path(folder) / "s.h5", made)) as session,
     ):
-        long = LongSession(session, made, 3600 * RATE_HZ // len(made.sound))
+        long = long_session(session, made, 3600 * RATE_HZ // len(made.sound))
     begin = time.perf_counter()
     sound = find_arrivals(long, np.arange(len(long.emissions)), "matched")
     status = Path("/proc/self/status").read_text()  # getrusage would tell the parent's peak

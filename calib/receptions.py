@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -89,14 +90,28 @@ class Listener:
         """Return the filter for a buzzer, None for one that was never heard."""
         return self._filter(buzzer, self.echo_share)
 
-    def hear(self, clip_level: float) -> Receptions:
-        """Find all emissions."""
+    def among(self, windows: EmissionWindows, buzzer: NDArray[np.integer]) -> Listener:
+        """Return a listener that knows the same and finds other emissions, the first of which are those of this one."""
+        other = copy(self)
+        other._windows, other._buzzer = windows, buzzer
+        return other
+
+    def hear(self, clip_level: float, before: Receptions | None = None) -> Receptions:
+        """Find all emissions, but for the first ones, where they were found before."""
+        n_before = 0 if before is None else len(before.level)
         shape = (len(self._buzzer), self._windows.n_channels)
         table = {one.name: np.full(shape, np.nan) for one in fields(Peaks)}
         clipped, not_numbers, level = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape)
-        for buzzer in np.unique(self._buzzer):
+        if before is not None:
+            for name, column in table.items():
+                column[:n_before] = getattr(before.peaks, name)
+            clipped[:n_before], not_numbers[:n_before], level[:n_before] = (
+                before.clipped, before.not_numbers, before.level,
+            )  # fmt: skip
+        new = np.arange(len(self._buzzer)) >= n_before
+        for buzzer in np.unique(self._buzzer[new]):
             matched = self.filter(int(buzzer))
-            for sound in self._windows.batches(np.flatnonzero(self._buzzer == buzzer)):
+            for sound in self._windows.batches(np.flatnonzero(new & (self._buzzer == buzzer))):
                 not_numbers[sound.rows] = sound.not_numbers
                 level[sound.rows] = sound.rms()
                 clipped[sound.rows] = sound.peak() >= clip_level
@@ -150,9 +165,9 @@ def find_flaws(
     flaws.add(Flaw.NOT_NUMBERS, receptions.not_numbers)
     heard = (peaks.height > MIN_HEIGHT) & ~flaws.rejected
     flaws.add(Flaw.DEAD_CHANNEL, _dead_channels(heard, flaws.rejected, listener.background))
-    for original, copy in listener.background.twins():
-        if not flaws.table[Flaw.DEAD_CHANNEL][:, [original, copy]].any():
-            flaws.add(Flaw.COPIED_CHANNEL, np.arange(flaws.shape[1]) == copy)
+    for original, twin in listener.background.twins():
+        if not flaws.table[Flaw.DEAD_CHANNEL][:, [original, twin]].any():
+            flaws.add(Flaw.COPIED_CHANNEL, np.arange(flaws.shape[1]) == twin)
     louder = _most(_over_usual(receptions.level, heard) > LOUDER_RATIO, ~flaws.rejected)
     spread_out = _spread_out(peaks, heard)
     flaws.add(Flaw.WRONG_WAVEFORM, (spread_out & ~louder)[:, None])

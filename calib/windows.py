@@ -56,6 +56,10 @@ class EmissionWindows:
         Row of the session's audio where each should begin.
     duration_s : float
         Of what was played.
+    tolerance_s : float
+        How far from there it may begin.
+    columns : tuple of int or None
+        Of the session's audio; None: the microphones.
 
     Attributes
     ----------
@@ -71,10 +75,15 @@ class EmissionWindows:
     """
 
     def __init__(
-        self, session: Session, expected_samples: NDArray[np.integer], duration_s: float, tolerance_s: float
+        self,
+        session: Session,
+        expected_samples: NDArray[np.integer],
+        duration_s: float,
+        tolerance_s: float,
+        columns: tuple[int, ...] | None = None,
     ) -> None:
         self._session = session
-        self._columns = list(session.microphone_columns)
+        self._columns = list(session.microphone_columns if columns is None else columns)
         self.sample_rate_hz = session.sample_rate_hz
         n_before = round((FLIGHT_S + tolerance_s) * self.sample_rate_hz)
         self.n_quiet = round(FLIGHT_S * self.sample_rate_hz)

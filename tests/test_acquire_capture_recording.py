@@ -79,7 +79,7 @@ def test_samples_lost_without_a_word_are_found_by_the_clock(tmp_path):
     writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
     with writer:
         recording.record(8.0)
-    assert recording.losses == 1
+    assert recording.sound.losses == 1
     assert "the clock says audio was lost before" in screen.warnings()
     with Session.open(tmp_path / "s.h5") as session:
         assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_GAP) == 1
@@ -90,10 +90,10 @@ def test_what_has_left_memory_is_not_given(tmp_path):
     writer, recording = recording_of(choose_devices(found.description), found, tmp_path / "s.h5", Listener())
     with writer:
         recording.record(10.0)
-        first, samples = recording.samples(0, writer.n_samples)
+        first, samples = recording.sound.samples(0, writer.n_samples)
         assert first > 0
         assert first + len(samples) == writer.n_samples
-        assert len(recording.samples(writer.n_samples, writer.n_samples + 100)[1]) == 0
+        assert len(recording.sound.samples(writer.n_samples, writer.n_samples + 100)[1]) == 0
 
 
 class SlowWriter:
@@ -116,7 +116,7 @@ def test_a_slow_disk_is_warned_of_and_costs_no_sample(tmp_path):
     found, screen = small_rig(), Listener()
     rig = choose_devices(found.description)
     writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
-    recording.writer = SlowWriter(writer, rig.clock, 96000, 3.0)
+    recording.sound._writer = SlowWriter(writer, rig.clock, 96000, 3.0)
     with writer:
         recording.record(3.0)
         assert recording.status.backlog_s < 1
@@ -125,7 +125,7 @@ def test_a_slow_disk_is_warned_of_and_costs_no_sample(tmp_path):
         screen.warnings().count("s of audio had to wait, nothing of it is lost: the disk or the computer is too slow")
         == 1
     )
-    assert recording.losses == 0
+    assert recording.sound.losses == 0
     with Session.open(tmp_path / "s.h5") as session:
         assert not session.audio_blocks["flags"].any()
         assert session.n_samples > 7.9 * 48000
@@ -153,4 +153,26 @@ def test_stamps_that_step_back_tell_of_a_host_that_slept(tmp_path):
         rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s - 0.5) for block in read()]
         recording.record(2.0)
     assert "the host's clock jumped by 0.50 s before 5." in screen.warnings()
-    assert recording.losses == 1
+    assert recording.sound.losses == 1
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.004])
+def test_sound_is_ready_once_its_times_have_settled_or_after_a_while(tmp_path, drift):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    read = rig.audio.read
+    rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s * (1 + drift)) for block in read()]
+    with writer:
+        for _ in range(2):
+            recording.sound.reopened()
+            begin_s, said = rig.clock.now_s(), len(screen.messages)
+            while not recording.sound.is_ready():
+                recording.record(0.1)
+            waited_s = rig.clock.now_s() - begin_s
+            heard = [message.text for message in screen.messages[said:]]
+            waiting = [text for text in heard if "until the sound device's times have settled, 15 s at most" in text]
+            given_up = [text for text in heard if "times still shift 15 s after it was opened, going on" in text]
+            assert (len(waiting), len(given_up)) == ((1, 1) if drift else (0, 0))
+            assert 15 < waited_s < 16 if drift else 3 < waited_s < 4
+            assert recording.sound.is_ready()

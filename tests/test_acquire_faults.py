@@ -50,6 +50,9 @@ def test_a_device_that_comes_back_costs_the_pose_under_way_and_nothing_else(tmp_
         assert np.nanmax(np.abs(median_late_s(session))) < 0.01
         stamps_s = session.audio_blocks["host_time_s"]
         assert (np.diff(stamps_s).max() > 8) == (kind == "audio_lost")
+        fired_s = session.emissions["host_time_s"]
+        for begin_s in stamps_s[[0, *gaps(session)]]:  # its stamps need so long to settle
+            assert fired_s[fired_s > begin_s].min() > begin_s + 3
 
 
 @pytest.mark.parametrize("kind", ["trigger_lost", "camera_lost", "audio_lost"])
