@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 DIFFER = 5  # the exit code where two results do
+NOT_ALL_GOOD = 5  # of the sessions of --each
 MOST_NAMES = 3  # of sessions, in the name of their result
 BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
@@ -75,6 +76,12 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     is_flag=True,
     help="Solve again with every pose that is being captured; prints a line of JSON each time.",
 )
+@click.option(
+    "--each",
+    is_flag=True,
+    help="Calibrate each session by itself, all cores at once; a result each, and a table (-o) [calibrations.csv].",
+)
+@click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
@@ -92,6 +99,8 @@ def command(
     suggest_poses: int,
     ignore_sync: bool,
     follow: bool,
+    each: bool,
+    cluster: str | None,
     compare: bool,
 ) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
@@ -112,13 +121,14 @@ def command(
     if compare:
         return _compare(files, console)
     session = files[0]
-    if len(files) > 1 and (follow or inspect_tdoa is not None):
-        raise click.UsageError("--follow and --inspect-tdoa take one session")
+    _check_choices(files, one=follow or inspect_tdoa is not None, each=each, cluster=cluster)
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
     target = output or _result_path(files)
     settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    if each:
+        return _each(files, output, settings, cluster, console, overwrite=overwrite)
     if follow:
         _follow(session, target, settings, overwrite=overwrite)
         return None
@@ -133,6 +143,13 @@ def command(
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
     return None
+
+
+def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:
+    if one and (each or len(files) > 1):
+        raise click.UsageError("--follow and --inspect-tdoa take one session")
+    if cluster and not each:
+        raise click.UsageError("--cluster goes with --each")
 
 
 def _result_path(sessions: tuple[Path, ...]) -> Path:
@@ -156,6 +173,27 @@ def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool)
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     follow(session, target, settings, say, overwrite=overwrite)
+
+
+def _each(
+    files: tuple[Path, ...],
+    output: Path | None,
+    settings: Settings,
+    cluster: str | None,
+    console: Console,
+    *,
+    overwrite: bool,
+) -> int:
+    """Return 0 where every session has a result, else 5."""
+    from calib.study.fleet import SUMMARY, calibrate_each, show_fleet
+    from calib.study.workers import Workers, check_distributed
+
+    check_distributed()
+    table = output or files[0].with_name(SUMMARY)
+    workers = Workers(Workers.of_machine().number, cluster)
+    rows = calibrate_each(files, settings, workers, table, overwrite=overwrite, console=console)
+    show_fleet(rows, table, console)
+    return 0 if all(row.is_good for row in rows) else NOT_ALL_GOOD
 
 
 def _compare(files: tuple[Path, ...], console: Console) -> int:

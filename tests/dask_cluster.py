@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
 
-START_S = 60
+START_S = 300  # of a machine that others keep busy
 
 
 class DaskCluster:
@@ -30,6 +31,16 @@ class DaskCluster:
                    "127.0.0.1:0", *arguments]  # fmt: skip
         with (self._folder / "cluster.log").open("ab") as log:
             return subprocess.Popen(command, cwd=self._folder, stdout=log, stderr=log)
+
+    def hold(self) -> None:
+        """Let no worker go on: what happens now happens in mid-run."""
+        for process in self.workers:
+            process.send_signal(signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        for process in self.workers:
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
         for process in (*self.workers, self.scheduler):

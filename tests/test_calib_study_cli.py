@@ -159,6 +159,22 @@ def test_a_full_disk_is_told_and_what_was_finished_stays(rig_study, small, tmp_p
     assert rig_study(small(), "--workers", "1")[0] == 0
 
 
+def test_an_interrupt_keeps_what_was_finished(rig_study, small, tmp_path, monkeypatch):
+    solve, computed = part.solve_part, []
+
+    def interrupted(*given: object):
+        if len(computed) == 2:
+            raise KeyboardInterrupt
+        computed.append(given)
+        return solve(*given)
+
+    monkeypatch.setattr("calib.study.run.solve_part", interrupted)
+    exit_code, _, err = rig_study(small(), "--workers", "1")
+    assert (exit_code, err) == (130, "rig-study: interrupted\n")
+    assert len(list((tmp_path / "out" / "small" / "parts").iterdir())) == 2
+    assert not (tmp_path / "out" / "small" / "results.parquet").exists()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

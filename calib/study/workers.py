@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
 from typing import Any
 
@@ -43,6 +44,17 @@ class Workers:
     def of_machine(cls) -> Workers:
         """Return one worker per core that this process may use."""
         return cls(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def check_distributed() -> None:
+    """Say what to install where Dask is missing.
+
+    Raises
+    ------
+    StudyError
+    """
+    if find_spec("distributed") is None:
+        raise StudyError("distributed missing: pip install 'acoustic-camera-rig[study]'")
 
 
 def compute(
