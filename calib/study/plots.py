@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from calib.study.folder import StudyFolder
@@ -66,11 +67,11 @@ def _series(summaries: list[CaseSummary]) -> list[tuple[str, str, list[CaseSumma
     found = []
     for (method, *names, off), group in groupby(sorted(summaries, key=key), key):
         differing = [
-            name
+            f"{field.replace('_', ' ')} {name}"
             for name, field in zip(names, ("array", "board", "pose_set"), strict=True)
             if len({getattr(each.case, field) for each in summaries}) > 1
         ]
-        label = NAMES[method] + (f" ({', '.join(differing)})" if differing else "") + (", buzzers off" if off else "")
+        label = ", ".join([NAMES[method], *differing]) + (", buzzers off" if off else "")
         found.append((label, method, list(group)))
     return sorted(found, key=lambda each: list(LOOKS).index(each[1]))
 
@@ -97,6 +98,7 @@ def _against_noise(folder: StudyFolder, summaries: list[CaseSummary], item: str 
     if item and printed(item):
         axes.plot([], [], "o", mfc="none", mec="grey", ms=11, lw=0, label="printed in the paper")
     axes.set(xscale="log", yscale="log", xlabel="scale of the noise, µs", ylabel="median error of the microphones, mm")
+    _plain_ticks(axes.xaxis, axes.yaxis)
     axes.set_title(folder.study.title, fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
@@ -114,6 +116,7 @@ def _against_poses(folder: StudyFolder, summaries: list[CaseSummary]) -> Figure:
         lower, upper = ([1e3 * min(getattr(each, name), 1e4) for each in cases] for name in ("lower_m", "upper_m"))
         axes.fill_between(n_poses, lower, upper, color=colour, alpha=0.15, lw=0)
     axes.set(yscale="log", ylim=(10, 2000), xlabel="number of poses", ylabel="error of the microphones, mm")
+    _plain_ticks(axes.yaxis)
     axes.set_title(f"{folder.study.title}: median and quartiles", fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
@@ -134,6 +137,7 @@ def _boxes(finished: FinishedStudy) -> Figure:
     axes.set_yticks(range(1, len(labels) + 1), labels, fontsize=8)
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="error of each microphone, mm")
+    _plain_ticks(axes.xaxis)
     axes.set_title(finished.folder.study.title, fontsize=10)
     return figure
 
@@ -153,11 +157,22 @@ def _in_space(finished: FinishedStudy) -> Figure:
     _scatter(axes, np.zeros((1, 3)), "*", "red", "camera", 80)
     axes.set(xlabel="x, m", ylabel="z, m", zlabel="y, m")
     axes.invert_zaxis()  # y points down
+    for scale in (axes.xaxis, axes.yaxis, axes.zaxis):
+        scale.set_major_locator(MaxNLocator(4))
+    axes.zaxis.labelpad = 8
     axes.set_aspect("equal")
     axes.view_init(elev=18, azim=-60)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 0.9))
     axes.set_title(finished.folder.study.title, fontsize=10)
     return figure
+
+
+def _plain_ticks(*scales: Any) -> None:
+    """Label logarithmic scales at 1, 2 and 5, in plain numbers."""
+    for scale in scales:
+        scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        scale.set_major_formatter(StrMethodFormatter("{x:g}"))
+        scale.set_minor_formatter(NullFormatter())
 
 
 def _scatter(axes: Any, places_m: FloatArray, sign: str, colour: str, label: str, size: float = 30) -> None:
