@@ -87,9 +87,9 @@ class StudyFolder:
         pq.write_table(self._table(part, columns), content, compression="zstd")
         self._write(self._part_path(part), content.getvalue())
 
-    def tables(self) -> Iterator[pa.Table]:
-        """Return the parts, one after the other."""
-        for part in self.parts:
+    def tables(self, parts: list[Part] | None = None) -> Iterator[pa.Table]:
+        """Return some of the parts, or all, one after the other."""
+        for part in self.parts if parts is None else parts:
             yield pq.read_table(self._part_path(part))
 
     def write_results(self) -> None:

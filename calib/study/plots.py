@@ -37,6 +37,8 @@ STYLE: Any = {
     "legend.frameon": False,
     "svg.hashsalt": "acoustic-camera-rig",
 }
+MOST_DRAWN = 2000  # repetitions of a case: box plots tell no more with more of them
+MOST_MM = 2000.0  # more is no answer
 FURTHEST_M = 3.0  # what ran away further is not drawn in space
 
 
@@ -79,13 +81,22 @@ def _series(summaries: list[CaseSummary]) -> list[tuple[str, str, list[CaseSumma
 def _against_noise(folder: StudyFolder, summaries: list[CaseSummary], item: str | None) -> Figure:
     figure = Figure(figsize=(6.4, 4.2))
     axes = figure.subplots()
+    as_printed = bool(item and printed(item)) and folder.study.name.endswith("as-published")
+    shown, words = ("paper_rmse_m", "the paper's figure") if as_printed else ("median_m", "median error")
     for label, method, cases in _series(summaries):
         if "buzzers off" in label:
             continue
         colour, sign = LOOKS[method]
         scale_us = [1e6 * each.scale_s for each in cases]
         axes.plot(
-            scale_us, [1e3 * each.median_m for each in cases], sign, ls="-", color=colour, label=label, lw=1.2, ms=5
+            scale_us,
+            [1e3 * getattr(each, shown) for each in cases],
+            sign,
+            ls="-",
+            color=colour,
+            label=label,
+            lw=1.2,
+            ms=5,
         )
         if method in ("ours-2", "ours-3"):
             axes.plot(scale_us, [1e3 * each.bound_m for each in cases], ls=":", color=colour, lw=1,
@@ -97,7 +108,8 @@ def _against_noise(folder: StudyFolder, summaries: list[CaseSummary], item: str 
             axes.plot(*zip(*known, strict=True), "o", mfc="none", mec=colour, ms=11, lw=0)
     if item and printed(item):
         axes.plot([], [], "o", mfc="none", mec="grey", ms=11, lw=0, label="printed in the paper")
-    axes.set(xscale="log", yscale="log", xlabel="scale of the noise, µs", ylabel="median error of the microphones, mm")
+    axes.set(xscale="log", yscale="log", xlabel="scale of the noise, µs", ylabel=f"{words} of the microphones, mm")
+    axes.set_ylim(top=min(axes.get_ylim()[1], MOST_MM))
     _plain_ticks(axes.xaxis, axes.yaxis)
     axes.set_title(folder.study.title, fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -115,7 +127,7 @@ def _against_poses(folder: StudyFolder, summaries: list[CaseSummary]) -> Figure:
         )
         lower, upper = ([1e3 * min(getattr(each, name), 1e4) for each in cases] for name in ("lower_m", "upper_m"))
         axes.fill_between(n_poses, lower, upper, color=colour, alpha=0.15, lw=0)
-    axes.set(yscale="log", ylim=(10, 2000), xlabel="number of poses", ylabel="error of the microphones, mm")
+    axes.set(yscale="log", ylim=(10, MOST_MM), xlabel="number of poses", ylabel="error of the microphones, mm")
     _plain_ticks(axes.yaxis)
     axes.set_title(f"{folder.study.title}: median and quartiles", fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -186,11 +198,12 @@ def _middles(scene: Scene) -> FloatArray:
 
 
 def _places(finished: FinishedStudy, summary: CaseSummary) -> FloatArray:
-    """Return the places (n, n_mics, 3) that the repetitions of a case found."""
+    """Return the places (n, n_mics, 3) that repetitions of a case found: the first of many."""
     n_mics = len(finished.scenes[summary.case.number].microphones_m)
+    parts = [part for part in finished.folder.parts if part.case.number == summary.case.number]
+    chosen = [part for part in parts if part.repetitions.start < MOST_DRAWN]
     found = [
         np.array([[table.column(f"{axis}_{mic + 1}_m").to_numpy() for axis in "xyz"] for mic in range(n_mics)])
-        for part, table in zip(finished.folder.parts, finished.folder.tables(), strict=True)
-        if part.case.number == summary.case.number
+        for table in finished.folder.tables(chosen)
     ]
     return np.concatenate(found, axis=2).transpose(2, 0, 1)
