@@ -12,6 +12,7 @@ from measured_rig import CHANNELS, Rig, make_rig
 from calib.cli import command
 from calib.emissions import accepted_rows
 from calib.joint.assemble import assemble
+from calib.joint.bias import without_bias
 from calib.joint.robust import solve_robustly
 from calib.joint.start import find_start
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
@@ -42,6 +43,13 @@ def solved(rig: Rig, **changes):
 
 def rms_m(solution, rig: Rig) -> float:
     return float(np.sqrt(np.mean(np.sum(rig.errors_m(solution) ** 2, axis=1))))
+
+
+def test_known_onsets_have_no_bias_of_their_own():
+    """A good session's bias is nothing beside its standard deviation, with onsets too."""
+    solution, covariance = solved(make_rig(0, n_poses=8))
+    moved_m = without_bias(solution.problem, solution.at, solution.weights()).microphones_m - solution.at.microphones_m
+    assert 0 < np.abs(moved_m).max() < 0.02 * microphone_rms_m(covariance, 8)
 
 
 def test_the_equations_of_onsets_match_numeric_derivatives():
