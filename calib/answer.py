@@ -11,6 +11,7 @@ from calib.camera import View
 from calib.joint.continuation import Continuation
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
+from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import Rejection
 from calib.result import HeldOut, Residual
 
@@ -60,3 +61,8 @@ class Answer:
     continuation: Continuation | None = None
     speeds_m_s: tuple[float, ...] = ()
     speed_stds_m_s: tuple[float, ...] = ()
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance (n_mics, 3, 3) of each microphone."""
+        return microphone_covariances(self.array_covariance_m2, len(self.microphones_m))

@@ -126,10 +126,12 @@ def command(
     with ExitStack() as stack:
         status = stack.enter_context(console.status("opening"))
         sessions = [stack.enter_context(Session.open(file)) for file in files]
-        if len(sessions) == 1:
-            result = calibrate(sessions[0], settings, lambda step: status.update(f"{session.name}: {step} ..."))
-        else:
-            result = calibrate_together(sessions, settings, lambda step: status.update(f"{step} ..."))
+
+        def tell(step: str) -> None:
+            status.update(f"{step} ...")
+
+        together = len(sessions) > 1
+        result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
     return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from calib.flaws import Flaws
 from calib.rejections import Rejection
 from calib.sound import SoundArrivals
 from rigs.description import RigDescription
+from rigs.session.layout import Truth
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,9 @@ class Measured:
     description : RigDescription
     corners : PoseCorners
     tdoas : EmissionTdoas
+    truth : Truth or None
+    sound : dict or None
+        What was heard and what was wrong with it, in plain values.
     doubts : list of str
         About the file.
     rejections : list of Rejection
@@ -38,6 +43,8 @@ class Measured:
     description: RigDescription
     corners: PoseCorners
     tdoas: EmissionTdoas
+    truth: Truth | None = None
+    sound: dict[str, Any] | None = None
     doubts: list[str] = field(default_factory=list)
     rejections: list[Rejection] = field(default_factory=list)
 

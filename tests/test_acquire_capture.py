@@ -137,7 +137,7 @@ def test_a_silent_buzzer_is_fired_again_and_stored_as_not_accepted(tmp_path):
 
 def test_an_overflow_is_flagged_logged_and_its_emission_fired_again(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("audio_overflow", pose=1))
-    assert listener.warnings().count("says audio was lost before") == 1
+    assert listener.warnings().count("of the recording: the sound device says so") == 1
     with Session.open(tmp_path / "s.h5") as session:
         assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_OVERFLOW) == 1
         assert session.emissions["expected_sample"][session.emissions["accepted"] == 0].tolist() == [-1]

@@ -91,7 +91,7 @@ def answer_jointly(
     problem = solution.problem
     covariance = shared_covariance(problem, solution.at, solution.weights())
     check_determined(solution, covariance, len(channels))
-    if microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
+    if problem.onsets is None and microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
         solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
     fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
     at = solution.at
