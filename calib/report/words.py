@@ -32,7 +32,7 @@ MEANINGS = (
         "Standard deviation of a microphone",
         "How far the answer would scatter if the session were captured again with other noise, and with buzzers, "
         "squares and air that differ as much as the rig description says they may.",
-        "Errors that measurements share: an echo that always comes with the sound, a board that is bent, a delay of a "
+        "Errors that measurements share: an echo that always comes with the sound, a delay of a "
         "sound card's input. Those are not in it.",
     ),
     Meaning(
