@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError
+from rigs.errors import DamagedSessionError, SessionError
 from rigs.session import layers, layout, picture
 from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
@@ -131,7 +131,7 @@ class Session:
         png = self._png(index)
         where = f"{self.path}: frame {index}"
         if zlib.crc32(png.data) != self.frames["crc32"][index]:
-            raise SessionError(f"{where} is damaged: its checksum does not fit")
+            raise DamagedSessionError(f"{where} is damaged: its checksum does not fit")
         return picture.decode(png, where)
 
     def verify(self) -> list[str]:
