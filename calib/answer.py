@@ -30,6 +30,8 @@ class Answer:
     held_out : HeldOut or None
     suggestions : list of str
         Further board positions that would help most, the best first.
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array or None
+        Of all microphones together.
     """
 
     microphones_m: FloatArray
@@ -41,3 +43,4 @@ class Answer:
     warnings: list[str] = field(default_factory=list)
     held_out: HeldOut | None = None
     suggestions: list[str] = field(default_factory=list)
+    array_covariance_m2: FloatArray | None = None

@@ -44,8 +44,14 @@ class PoseCorners:
         return PoseCorners(self.pose[chosen], self.corners_px[chosen])
 
 
-def find_pose_corners(session: Session) -> PoseCorners:
+def find_pose_corners(session: Session, min_poses: int | None = None) -> PoseCorners:
     """Find the corners of every accepted pose, or take those that the session begins with.
+
+    Parameters
+    ----------
+    session : Session
+    min_poses : int or None
+        How many are needed; None: as many as a calibration needs.
 
     Raises
     ------
@@ -53,7 +59,7 @@ def find_pose_corners(session: Session) -> PoseCorners:
         The session has too few poses, or the board was found in too few of them.
     """
     accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
-    needed = session.description.min_poses
+    needed = session.description.min_poses if min_poses is None else min_poses
     note = f" ({MIN_POSES} with camera.intrinsics in the rig description)" if needed > MIN_POSES else ""
     if len(accepted) < needed:
         raise NotEnoughDataError(

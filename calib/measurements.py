@@ -79,6 +79,7 @@ class Measurements:
             view=self.view,
             residual=fitted.residual(),
             warnings=fit_doubts(self.description, fitted),
+            array_covariance_m2=covariance[:-1, :-1],
         )
 
     def covariance(self, estimate: Estimate) -> FloatArray:

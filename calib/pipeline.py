@@ -59,6 +59,7 @@ def calibrate(session: Session, settings: Settings, tell: Callable[[str], None] 
         evaluation=_evaluation(session, channels, answer),
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
+        array_covariance_m2=answer.array_covariance_m2,
         sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
         warnings=[
             *session_doubts(session),

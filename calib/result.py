@@ -81,6 +81,8 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of str
         Further board positions that would help most, the best first.
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array or None
+        Of all microphones together: neighbours err alike, which `covariance_m2` does not tell.
     """
 
     session_name: str
@@ -98,6 +100,7 @@ class Calibration:
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
     suggestions: tuple[str, ...] = ()
+    array_covariance_m2: FloatArray | None = None
 
     @property
     def std_m(self) -> FloatArray:
@@ -152,6 +155,11 @@ def as_document(result: Calibration) -> dict[str, Any]:
         document["sound"] = result.sound
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
+    if result.array_covariance_m2 is not None:  # the lower triangle, x y z of each microphone in turn
+        document["array_covariance_m2"] = [
+            [float(f"{value:.6g}") for value in row[: number + 1]]
+            for number, row in enumerate(result.array_covariance_m2)
+        ]
     return document
 
 

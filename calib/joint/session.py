@@ -76,6 +76,7 @@ def answer_jointly(
         ],
         held_out=hold_out(solution, chosen),
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
+        array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
     )
 
 
