@@ -84,7 +84,7 @@ def test_a_damaged_photo_leaves_nothing_behind(bench, tmp_path):
     session = Path(shutil.copy(bench / "s2.h5", tmp_path / "s3.h5"))
     with Session.open(session) as opened:
         frames = np.flatnonzero(opened.frames["pose"] == 0)
-        png = opened._png(int(frames[len(frames) // 2])).tobytes()
+        png = opened.png(int(frames[len(frames) // 2])).tobytes()
     piece, content = png[1000:1064], session.read_bytes()
     assert content.count(piece) == 1
     session.write_bytes(content.replace(piece, bytes(64)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +21,7 @@ from rigs.errors import TargetError, TargetExistsError
 from rigs.geometry import CAMERA_FRAME
 from rigs.session.picture import encode
 from rigs.session.reader import Session
+from rigs.target import whole_folder
 
 Picture = NDArray[np.uint8]
 
@@ -66,17 +65,10 @@ def write_folder(
         The folder cannot be written to.
     """
     check_folder(folder, overwrite=overwrite)
-    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        beside.chmod(0o755)
-        codec = _write_pictures(verification, session, beside, tell) if len(session.frames) else None
+    with whole_folder(folder, replace=overwrite) as unfinished:
+        codec = _write_pictures(verification, session, unfinished, tell) if len(session.frames) else None
         text = yaml.safe_dump(as_document(verification, codec), sort_keys=False, default_flow_style=None, width=200)
-        (beside / FIGURES).write_text(text, encoding="utf-8")
-        if folder.exists():
-            shutil.rmtree(folder)
-        beside.rename(folder)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        (unfinished / FIGURES).write_text(text, encoding="utf-8")
     return codec
 
 
