@@ -34,9 +34,11 @@ virtual-bench: setup
 	.ci/system-packages
 	@PYTHONPATH=tests $(BIN)/python -m virtual_bench
 
-# the README's picture, from the demo's files
+# the README's pictures, from the demo's files, and the bench guide's drawings
 figures: setup
+	$(BIN)/rig-verify demo.h5 --calibration demo.calib.yaml --overwrite
 	$(BIN)/python docs/figures/make.py
+	$(BIN)/python docs/figures/bench.py
 
 bench: setup
 	.ci/system-packages
@@ -63,4 +65,4 @@ lock:
 	    --extra aislab --extra plot --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz
+	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz demo.verify

@@ -19,7 +19,7 @@ HEAT_FROM = 0.5  # of the highest power: what is lower is left as the photo has 
 HEAT_OPACITY = 0.85
 PHOTO_BRIGHTNESS = 0.7
 BASE_WIDTH_PX = 1280.0  # what sizes below are meant for
-ZOOM, INSET_PX, BAR_PX = 5, 220, 34
+ZOOM, INSET_PX, INSET_RING_PX, BAR_PX = 5, 220, 2, 34
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SUBPIXEL_BITS = 4
 
@@ -103,10 +103,10 @@ def _inset(picture: Picture, plain: Picture, verification: Verification, number:
     height, width = picture.shape[:2]
     to_inset = np.array([[ZOOM, 0, side / 2 - ZOOM * seen[0]], [0, ZOOM, side / 2 - ZOOM * seen[1]]], dtype=float)
     inset = np.asarray(cv2.warpAffine(plain, to_inset, (side, side), flags=cv2.INTER_NEAREST), dtype=np.uint8)
-    _ring(inset, np.array([side / 2, side / 2]), ZOOM * ink.scale, ink.line)
+    _ring(inset, np.array([side / 2, side / 2]), INSET_RING_PX * ZOOM, ink.line)
     if np.isfinite(located).all():
         _cross(inset, to_inset[:, :2] @ located + to_inset[:, 2], 12 * ink.scale, ink.line)
-    ink.text(inset, f"x {ZOOM}, ring {ink.scale:.2g} px", (8 * ink.scale, side - 10 * ink.scale), PLAIN)
+    ink.text(inset, f"x {ZOOM}, ring of {INSET_RING_PX} px", (8 * ink.scale, side - 10 * ink.scale), PLAIN)
     cv2.rectangle(inset, (0, 0), (side - 1, side - 1), PLAIN, ink.line)
     margin = round(12 * ink.scale)
     left = margin if seen[0] > width / 2 else width - side - margin

@@ -1,9 +1,10 @@
-"""Draw the README's picture from the demo's own files: `make demo figures`."""
+"""Draw the README's pictures from the demo's own files: `make demo figures`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import matplotlib as mpl
 
 mpl.use("Agg")
@@ -18,6 +19,7 @@ from rigs.board import board_corners_m, project
 from rigs.session.reader import Session
 
 SESSION, RESULT, PICTURE = Path("demo.h5"), Path("demo.calib.yaml"), Path("docs/figures/demo.png")
+OVERLAY, VERIFIED = Path("demo.verify/pose-010.png"), Path("docs/figures/verify.jpg")
 LABEL_OFFSET_M = np.array([0.02, 0.0, 0.0])
 CAMERA, SOUND, BOARD = "#444444", "#c2410c", "#94a3b8"
 
@@ -35,6 +37,14 @@ def main() -> None:
         draw_picture(panels["seen"], session, view, nearest_pose(view))
         draw_array(panels["found"], session, view, result)
     figure.savefig(PICTURE, dpi=95)
+    shrink_overlay()
+
+
+def shrink_overlay() -> None:
+    """Make the verification's picture of a pose small enough for a page."""
+    picture = cv2.imread(str(OVERLAY))
+    size = (picture.shape[1] * 3 // 4, picture.shape[0] * 3 // 4)
+    cv2.imwrite(str(VERIFIED), cv2.resize(picture, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 def nearest_pose(view: View) -> int:
