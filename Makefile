@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: help setup demo virtual-bench bench figures test lint types imports tests lock clean
+.PHONY: help setup demo virtual-bench bench figures test lint types imports tests coverage lock clean
 
 help:
 	@echo "make setup          everything that Python needs, into .venv; then: . .venv/bin/activate"
@@ -13,6 +13,7 @@ help:
 	@echo "make virtual-bench  run a bench without hardware for rig-capture (docs/virtual-bench.md)"
 	@echo "make bench          all benchmarks, a table each"
 	@echo "make test           linter, type checker, import contracts, tests; installs Debian packages (.ci/system-packages)"
+	@echo "make coverage       the tests, and which lines they never reach"
 	@echo "make lock           renew requirements.lock from pyproject.toml"
 	@echo "make clean          remove the environment and everything the demo made"
 
@@ -57,6 +58,11 @@ imports: setup
 	$(BIN)/lint-imports
 
 tests: setup
+	.ci/system-packages
+	$(BIN)/pytest --numprocesses=auto --dist=worksteal
+
+# the same tests, half as slow again, with the lines they never reach
+coverage: setup
 	.ci/system-packages
 	$(BIN)/pytest --numprocesses=auto --dist=worksteal --cov --cov-report=term
 

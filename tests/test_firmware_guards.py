@@ -117,3 +117,13 @@ def test_a_reset_in_mid_emission_is_silent_at_once():
         (sound_s,) = lit_s(board)
         assert sound_s < 0.4
         assert host.ask("2 status")["plays"] == "0"
+
+
+def test_a_lap_of_the_timer_that_ends_while_other_flags_are_cleared_is_counted():
+    with broken("clear_matches_at_lap") as board, Talk(board.port) as host:
+        host.restart(board)
+        on_us, _ = host.play(COMMAND)
+        board.settle()
+        trace = board.trace()
+    first_edge_s = trace.pin(LED_PIN)[0][0] - trace.resets[-1][0]
+    assert 0 < first_edge_s - 1e-6 * on_us < 0.005  # the clock begins when the firmware does; a lap is 0.033 s

@@ -14,6 +14,7 @@
 #include "trace.h"
 
 enum { FREQUENCY_HZ = 16000000, MOST_CYCLES = 3200 };  // at a time, between two looks at the serial line
+enum { TIFR1 = 0x36, TIMSK1 = 0x6f, TOV1 = 1 };
 enum { WDTCSR = 0x60, WDP0_TO_2 = 7, WDP3 = 1 << 5 };   // ATmega328P and 2560
 
 enum { FAMILY_MASK = 0x7f, FAMILY_OF_MEGA = 6 };        // in the header of an ELF file
@@ -22,8 +23,8 @@ static avr_t *chip;
 static bool was_reset;
 static const char *cause = "watchdog";  // what resets the chip unasked
 static void (*core_reset)(avr_t *);
-static avr_int_vector_t *watchdog;
-static avr_cycle_count_t unserved_since;
+static avr_int_vector_t *watchdog, *lap;
+static avr_cycle_count_t unserved_since, lap_gone_at;
 
 static void fail(const char *what, const char *which) {
     fprintf(stderr, "simboard: %s: %s\n", which, what);
@@ -89,9 +90,28 @@ static void log_errors(avr_t *avr, const int level, const char *format, va_list 
     vfprintf(stderr, format, arguments);
 }
 
-static void find_watchdog(void) {
-    for (unsigned i = 0; i < chip->interrupts.vector_count; i++)
-        if (chip->interrupts.vector[i]->enable.reg == WDTCSR) watchdog = chip->interrupts.vector[i];
+static void find_vectors(void) {
+    for (unsigned i = 0; i < chip->interrupts.vector_count; i++) {
+        avr_int_vector_t *vector = chip->interrupts.vector[i];
+        if (vector->enable.reg == WDTCSR) watchdog = vector;
+        if (vector->enable.reg == TIMSK1 && 1 << vector->enable.bit == TOV1) lap = vector;
+    }
+}
+
+static void note_lap_gone(struct avr_irq_t *irq, uint32_t is_pending, void *parameter) {
+    (void)irq, (void)parameter;
+    if (!is_pending) lap_gone_at = chip->cycle;
+}
+
+// Clearing other flags of Timer 1 leaves its overflow alone. libsimavr forgets an overflow that waits just then.
+static void keep_lap(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    (void)address, (void)parameter;
+    if (lap_gone_at == avr->cycle && !(value & TOV1)) avr_raise_interrupt(avr, lap);
+}
+
+static void guard_laps(void) {
+    avr_irq_register_notify(lap->irq + AVR_INT_IRQ_PENDING, note_lap_gone, NULL);
+    avr_register_io_write(chip, TIFR1, keep_lap, NULL);
 }
 
 avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
@@ -110,7 +130,8 @@ avr_t *chip_make(const char *mcu, char *const images[], int n_images) {
     }
     core_reset = chip->reset;
     chip->reset = resetting;
-    find_watchdog();
+    find_vectors();
+    guard_laps();
     return chip;
 }
 
