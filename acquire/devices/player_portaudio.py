@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from acquire.errors import DeviceError
 
 GRACE_S = 20.0  # for the sound system to start and stop
-TAIL_S = 0.2  # of silence: ALSA's pulse plugin drops the last 20 ms when a stream ends
+LATENCY_S = 0.5  # a busy computer leaves no hole in the sound
+TAIL_S = 2 * LATENCY_S  # of silence: ALSA's pulse plugin drops what is still buffered when a stream ends
 
 
 def play(samples: NDArray[np.float32], sample_rate_hz: float) -> None:
@@ -51,7 +52,7 @@ def main(sample_rate_hz: int, n_channels: int) -> int:
     samples = np.frombuffer(sys.stdin.buffer.read(), "<f4").reshape(-1, n_channels)
     samples = np.concatenate([samples, np.zeros((round(TAIL_S * sample_rate_hz), n_channels), "<f4")])
     try:
-        sounddevice.play(samples, sample_rate_hz, blocking=True)
+        sounddevice.play(samples, sample_rate_hz, blocking=True, latency=LATENCY_S)
     except (sounddevice.PortAudioError, ValueError) as error:
         return _failed(error)
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -39,6 +40,8 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     """
     if folder.name in ("", "..") or not folder.parent.is_dir():
         raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
+    if not os.access(folder.parent, os.W_OK):
+        raise TargetError(f"{folder}: the folder {folder.parent} is read-only: name an --output elsewhere")
     if not (folder.exists() or folder.is_symlink()):
         return
     if not overwrite:

@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.verification.stored import ArrayCalibration
-
 FloatArray = NDArray[np.float64]
 
 MIN_ARRIVALS = 5
@@ -90,11 +88,6 @@ class Located:
     def found(self) -> NDArray[np.bool_]:
         """Which emissions (n_emissions,) were located."""
         return np.asarray(np.isfinite(self.places_m).all(axis=1))
-
-
-def heard_by(calibration: ArrayCalibration, arrival_s: FloatArray, std_s: FloatArray) -> Heard:
-    """Put arrivals (n_emissions, n_mics) and the array that heard them together."""
-    return Heard(calibration.positions_m, calibration.covariance_m2, arrival_s, std_s)
 
 
 def locate(heard: Heard, known: Speed) -> Located:

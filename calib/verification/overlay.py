@@ -62,10 +62,10 @@ def overlay(photo: Picture, verification: Verification, emissions: NDArray[np.in
     return _with_bar(picture, _caption(verification, emissions), ink)
 
 
-def _with_heat(picture: Picture, power: FloatArray) -> Picture:
+def _with_heat(picture: Picture, power: Picture) -> Picture:
     size = (picture.shape[1], picture.shape[0])
-    power = np.asarray(cv2.resize(power.astype(np.float32), size, interpolation=cv2.INTER_CUBIC))
-    share = np.clip((power - HEAT_FROM) / (1 - HEAT_FROM), 0.0, 1.0)
+    shares = np.asarray(cv2.resize(power.astype(np.float32) / 255, size, interpolation=cv2.INTER_CUBIC))
+    share = np.clip((shares - HEAT_FROM) / (1 - HEAT_FROM), 0.0, 1.0)
     colours = cv2.applyColorMap((255 * (0.25 + 0.75 * share)).astype(np.uint8), cv2.COLORMAP_INFERNO)
     opacity = (HEAT_OPACITY * np.sqrt(share))[..., None]
     return np.asarray((1 - opacity) * picture + opacity * colours, dtype=np.uint8)

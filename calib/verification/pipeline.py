@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,7 +116,7 @@ def verify(
     movement = check_movement(calibration, description, view, corners, tdoas)
     tell("steering the array over the pictures")
     session_rows = accepted_rows(session)[rows]
-    maps = None if session.tdoas is not None else list(_maps(session, session_rows, calibration, located))
+    maps = None if session.tdoas is not None else _maps(session, session_rows, calibration, located)
     return Verification(
         session.name,
         calibration,
@@ -175,7 +177,7 @@ def _maps(
     rows: NDArray[np.intp],
     calibration: ArrayCalibration,
     located: Located,
-) -> Iterator[ResponseMap]:
+) -> list[ResponseMap]:
     description = session.description
     columns = [description.audio.channels.index(channel) for channel in calibration.channels]
     waveform = description.signal.waveform()
@@ -189,9 +191,14 @@ def _maps(
         located.speed.m_s,
     )
     distances_m = np.linalg.norm(located.places_m, axis=1)
-    for number, distance_m in enumerate(np.where(np.isfinite(distances_m), distances_m, USUAL_DISTANCE_M)):
+    distances_m = np.where(np.isfinite(distances_m), distances_m, USUAL_DISTANCE_M)
+
+    def mapped(number: int) -> ResponseMap:
         samples = windows.read(np.array([number])).samples[0, columns]
-        yield steered.map(samples, float(distance_m))
+        return steered.map(samples, float(distances_m[number]))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the FFT lets other threads run meanwhile
+        return list(pool.map(mapped, range(len(rows))))
 
 
 def _name_doubts(session: Session, calibration: ArrayCalibration, *, made_again: bool) -> list[str]:

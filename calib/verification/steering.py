@@ -33,13 +33,13 @@ class ResponseMap:
 
     Parameters
     ----------
-    power : (n_rows, n_columns) array
-        1 at the highest, on a grid that covers the picture.
+    power : (n_rows, n_columns) array of bytes
+        255 at the highest, on a grid that covers the picture; where it is below 0, 0.
     peak_px : (2,) array
         Where it is highest, to a fraction of a pixel.
     """
 
-    power: FloatArray
+    power: NDArray[np.uint8]
     peak_px: FloatArray
 
 
@@ -97,7 +97,8 @@ class SteeredResponse:
             around_px = peak_px + offsets_px
             peak_px = around_px[int(np.argmax(self._power(correlations, distance_m * self._rays_of(around_px))))]
         highest = max(float(power.max()), 1e-30)
-        return ResponseMap(np.clip(power / highest, 0.0, 1.0).reshape(self._shape), peak_px)
+        shares = np.clip(power / highest, 0.0, 1.0).reshape(self._shape)
+        return ResponseMap((255 * shares).round().astype(np.uint8), peak_px)
 
     def _correlations(self, samples: NDArray[np.float32]) -> FloatArray:
         """Return the correlation of each pair (n_pairs, n_lags), lag zero first; positive where the second is later."""
