@@ -1,6 +1,7 @@
 """`rig-verify` as a user runs it, on sessions that begin with measured corners and TDOAs."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -216,7 +217,7 @@ def test_a_folder_that_cannot_be_written_to_is_told(later, calibration, tmp_path
     exit_code, error = refused(capsys, later, calibration, "-o", closed / "no" / "v")
     assert exit_code == 2
     assert "there is no folder" in error
-    monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
+    monkeypatch.setattr("os.access", lambda _, mode: mode != os.W_OK)  # root may write anywhere
     exit_code, error = refused(capsys, later, calibration, "-o", closed / "v")
     assert exit_code == 2
     assert "is read-only: name an --output elsewhere" in error
