@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_rig import CHANNELS
-from verified_rig import calibrated_rig, checked, met_again, one_moved
+from measured_rig import CHANNELS, make_rig
+from verified_rig import calibrated, calibrated_rig, checked, met_again, one_moved
 
+from calib.measurements import Measurements
+from calib.verification.heldout import calibrate_without, held_out_poses, settings_of
 from calib.verification.location import Heard, Speed, locate
 from calib.verification.movement import WHOLE_ARRAY
 from calib.verification.verdict import Limits, judge
+from rigs.geometry import rotation_matrix
 
 SEEDS = range(6)
 
@@ -68,6 +71,37 @@ def test_the_whole_array_moved_against_the_camera(rigs):
         found = checked(calibration, met_again(rig, seed, shifts_m=np.array([0.003, -0.002, 0.002])))
         assert found.moved == [WHOLE_ARRAY]
         assert "the whole array by" in found.movement.motions[0].sentence()
+
+
+def test_an_array_that_was_turned(rigs):
+    rig, calibration = rigs[0]
+    turn = rotation_matrix(np.radians([0.0, 0.4, 0.0]))
+    places_m = rig.truth.microphones_m
+    found = checked(calibration, met_again(rig, 0, shifts_m=places_m @ turn.T - places_m))
+    assert found.moved == [WHOLE_ARRAY]
+    assert found.movement.motions[0].turn_deg == pytest.approx(0.4, abs=0.05)
+
+
+def test_a_poor_calibration_is_no_motion():
+    """Eight poses calibrate, many verify: the difference is the calibration's own uncertainty."""
+    for seed in range(3):
+        rig = make_rig(seed, n_poses=8)
+        assert checked(calibrated(rig), met_again(rig, seed, n_poses=40)).movement.motions == []
+
+
+def test_held_out_poses_take_no_part_in_the_calibration(rigs):
+    rig, calibration = rigs[0]
+    measured = Measurements(rig.description, rig.corners, rig.tdoas, settings_of(calibration, rig.description))
+    held_out = held_out_poses(rig.corners.pose)
+    spoilt_s = rig.arrival_s + 1e-4 * np.isin(rig.pose, held_out)[:, None] * np.arange(8)
+    corners_px = rig.corners_px + 5.0 * np.isin(rig.corners.pose, held_out)[:, None, None]
+    other = replace(rig, arrival_s=spoilt_s, corners_px=corners_px)
+    plain, spoilt = (
+        calibrate_without(replace(measured, tdoas=each.tdoas, corners=each.corners), held_out, calibration)
+        for each in (rig, other)
+    )
+    assert 0.3 < len(held_out) / len(rig.corners.pose) < 0.35
+    np.testing.assert_allclose(plain.positions_m, spoilt.positions_m, atol=1e-6)  # OpenCV sums in any order
 
 
 def test_a_few_poses_are_enough(rigs):
