@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,10 @@ from acquire.checks import EmissionCheck, check_emission, find_onset
 from acquire.clocks import Prediction
 from acquire.devices.base import EmissionStart
 from acquire.errors import DeviceLostError, DeviceRestartedError, losing
+from acquire.latency import WIDE_WINDOW_S
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
+from acquire.soundtrack import VOID
 from acquire.status import State
 from rigs.description import RigDescription
 
@@ -101,23 +103,19 @@ class Emissions:
                 return shot.faults
             seen |= shot.faults
             self._complain(buzzer, shot.problem or self._in_words(new_faults), retries_left)
-        if not math.isnan(shot.onset.measured_sample):
-            self._clocks.latency.forget()  # heard, but never where expected: the audio path has changed
         return None
 
     def _shoot(self, buzzer: int) -> Shot:
         recording, status = self._recording, self._recording.status
-        status.state, losses = State.FIRING, recording.losses
+        status.state, losses = State.FIRING, recording.sound.losses.n
         start = self._started(buzzer)
         recording.record(self._waveform.duration_s + self._description.signal.gap_s)
         has_restarted = self._has_restarted()
         prediction = self._clocks.predict(start)
         if prediction is not None:
-            last_s = self._clocks.latency.window_s()[1]
-            wanted_s = last_s + self._waveform.duration_s + self._reach_s()
-            recording.record_until(round(prediction.sample) + self._samples(wanted_s))
+            self._wait_for(prediction, self._clocks.latency.window_s()[1])
         status.state = State.CHECKING
-        if prediction is None or recording.losses > losses:
+        if prediction is None or recording.sound.losses.n > losses:
             return Shot(start, "audio was lost while it sounded")
         if has_restarted:
             return Shot(start, "the board restarted while it sounded")
@@ -127,7 +125,7 @@ class Emissions:
         while True:
             try:
                 with losing("trigger"):
-                    return self._trigger.play(buzzer, self._waveform)
+                    return self._recording.attend("trigger", lambda: self._trigger.play(buzzer, self._waveform))
             except DeviceRestartedError as error:
                 self._reconnection.restore(DeviceLostError(str(error), "trigger"))
 
@@ -135,38 +133,71 @@ class Emissions:
         """Read the board's clock; where the board has restarted, nobody knows what it has played."""
         try:
             with losing("trigger"):
-                self._clocks.store(self._trigger)
+                pings = self._recording.attend("trigger", self._trigger.read_clock)
         except DeviceRestartedError as error:
             self._reconnection.restore(DeviceLostError(str(error), "trigger"))
             return True
+        self._clocks.store(pings, self._trigger.clock_fit())
         return False
+
+    def _wait_for(self, prediction: Prediction, last_s: float) -> None:
+        """Record until the emission is in, even if it comes so much later than the clocks say."""
+        wanted_s = last_s + self._waveform.duration_s + self._reach_s()
+        self._recording.record_until(round(prediction.sample) + self._samples(wanted_s))
 
     def _judged(self, start: EmissionStart, prediction: Prediction) -> Shot:
         latency = self._clocks.latency
-        known_s = latency.value_s if latency.is_known else math.nan
-        latency_s = known_s if latency.is_known else self._first_latency_s(prediction)
-        sample = prediction.sample + latency_s * self._rate_hz
-        check = self._check(round(sample))
-        measured_sample = round(sample) + check.late_s() * self._rate_hz
-        onset = Onset(sample, math.hypot(prediction.std_s, latency.std_s), measured_sample, known_s)
-        if check.problem() is None:
-            self._learn((measured_sample - prediction.sample) / self._rate_hz)
-        return Shot(start, check.problem(), check.channel_faults(), onset)
+        if latency.is_known:
+            known_s = latency.value_s
+            check, offset_s = self._heard_at(prediction, known_s)
+            onset = self._onset(prediction, known_s, offset_s)
+            if check.problem() is None and latency.learn(offset_s):
+                return Shot(start, None, check.channel_faults(), replace(onset, latency_s=known_s))
+        return self._found(start, prediction)
 
-    def _first_latency_s(self, prediction: Prediction) -> float:
-        """Look for the emission in a wide window; 0 where it is not heard."""
-        first_s, last_s = self._clocks.latency.window_s()
+    def _found(self, start: EmissionStart, prediction: Prediction) -> Shot:
+        """Judge an emission that was not heard where expected, or of which nobody knows where to expect it."""
+        latency = self._clocks.latency
+        self._wait_for(prediction, WIDE_WINDOW_S[1])
+        known_s = latency.value_s if latency.is_known else None
+        found_s = self._found_s(prediction)
+        if found_s is None:
+            found_s = known_s or 0.0
+        check, offset_s = self._heard_at(prediction, found_s)
+        problem = check.problem() or self._doubt(offset_s, known_s)
+        expected_s = found_s if problem is None or known_s is None else known_s
+        onset = self._onset(prediction, expected_s, offset_s)
+        return Shot(start, problem, check.channel_faults(), onset)
+
+    def _doubt(self, offset_s: float, known_s: float | None) -> str | None:
+        """Say why an emission heard at another moment than expected does not count; None where it tells the latency."""
+        if self._clocks.latency.learn(offset_s):
+            self._recording.say("info", f"latency of the audio: {1e3 * offset_s:.0f} ms, with the way of the sound")
+            return None
+        assert known_s is not None  # the first one is believed
+        return f"heard {abs(offset_s - known_s) * 1e3:.0f} ms too {'late' if offset_s > known_s else 'early'}"
+
+    def _heard_at(self, prediction: Prediction, latency_s: float) -> tuple[EmissionCheck, float]:
+        """Return what was heard about a latency after the clocks' moment, and how long after it; NaN if not at all."""
+        expected_sample = round(prediction.sample + latency_s * self._rate_hz)
+        check = self._check(expected_sample)
+        return check, (expected_sample - prediction.sample) / self._rate_hz + check.late_s()
+
+    def _onset(self, prediction: Prediction, latency_s: float, offset_s: float) -> Onset:
+        return Onset(
+            predicted_sample=prediction.sample + latency_s * self._rate_hz,
+            predicted_std_s=math.hypot(prediction.std_s, self._clocks.latency.std_s),
+            measured_sample=prediction.sample + offset_s * self._rate_hz,
+        )
+
+    def _found_s(self, prediction: Prediction) -> float | None:
+        """Return how much later than the clocks say the emission is heard, wherever it is; None where it is not."""
+        first_s, last_s = WIDE_WINDOW_S
         first_sample = round(prediction.sample) + self._samples(first_s)
         end_sample = round(prediction.sample) + self._samples(last_s + self._waveform.duration_s)
         first_sample, samples = self._heard(first_sample, end_sample)
         onset = find_onset(samples, self._waveform, self._rate_hz)
-        return 0.0 if onset is None else (first_sample + onset - prediction.sample) / self._rate_hz
-
-    def _learn(self, offset_s: float) -> None:
-        latency, is_first = self._clocks.latency, not self._clocks.latency.is_known
-        latency.learn(offset_s)
-        if is_first:
-            self._recording.say("info", f"latency of the audio: {1e3 * offset_s:.0f} ms, with the way of the sound")
+        return None if onset is None else (first_sample + onset - prediction.sample) / self._rate_hz
 
     def _check(self, expected_sample: int) -> EmissionCheck:
         before = self._samples(self._description.signal.gap_s)
@@ -176,7 +207,7 @@ class Emissions:
 
     def _heard(self, first_sample: int, end_sample: int) -> tuple[int, NDArray[np.float32]]:
         """Return what the microphones heard, and the row where it begins; the sync output is no microphone."""
-        first_sample, samples = self._recording.samples(first_sample, end_sample)
+        first_sample, samples = self._recording.sound.samples(first_sample, end_sample)
         return first_sample, samples[:, : self._n_microphones]
 
     def _store(self, shot: Shot, pose: int, buzzer: int, repeat: int, accepted: bool) -> None:
@@ -199,6 +230,7 @@ class Emissions:
             self._recording.say("warning", f"{place}: {what}; firing it again")
             return
         remedy = "check its cable and plug" if what == "not heard" else "keep the room quiet and nothing else playing"
+        remedy = VOID if self._recording.sound.is_void else remedy
         self._recording.say(
             "warning", f"{place}: {what}, {self._limits.retries + 1} times: {remedy}; going on without it"
         )

@@ -8,17 +8,19 @@ from numpy.typing import NDArray
 from acquire.devices.base import Frame
 from acquire.emissions import ChannelFaults, Emissions
 from acquire.errors import CaptureQualityError, DeviceLostError
+from acquire.holdups import Cause
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.resume import Resumption
 from acquire.sharpness import edge_blur_px
-from acquire.status import State
+from acquire.soundtrack import VOID
+from acquire.status import CHANNEL_REMEDIES, State
 from acquire.stillness import Sight, StillBoard
 from rigs.board import find_corners, movement_px
 from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]
-_MAX_SILENT_POSES = 3
+_MAX_UNHEARD_POSES = 3
 _LOOK_PAUSE_S = 0.15  # the search for corners is most of the work of a capture
 _ADVICE = {
     Sight.MISSING: "bring the whole board into the picture, evenly lit and without glare",
@@ -31,10 +33,8 @@ _ADVICE = {
 _STAND = "put it on a stand, or raise capture.still_px if only the picture's noise moves the corners"
 _SHARPEN = f"{_ADVICE[Sight.BLURRED]}, or raise capture.max_blur_px if the lens cannot do better"
 _TIMEOUT_REMEDIES = {Sight.MOVING: _STAND, Sight.SETTLING: _STAND, Sight.BLURRED: _SHARPEN}
-_CHANNEL_REMEDIES = {
-    "silent": "check its cable, power and mute switch; calibration cannot place it",
-    "clipped": "turn its gain down",
-}
+_UNHEARD = "no emission was good: check the buzzers' power and the microphones"
+_UNSURE = "its emissions disagree on the latency of the audio: keep the room quiet and nothing else playing"
 
 
 class Poses:
@@ -59,7 +59,7 @@ class Poses:
         # counts attempts: a place that is captured again gets a number of its own
         self._pose = earlier.recovery.next_pose if earlier else 0
         self._again = False  # the last attempt failed, so the same place is wanted
-        self._silent_poses = 0
+        self._unheard_poses = 0
         self._earlier_px: list[FloatArray] = list(earlier.corners_px) if earlier else []  # of each good pose
 
     def capture_all(self) -> None:
@@ -106,7 +106,7 @@ class Poses:
                 figure_px = edge_blur_px(frame.image, corners_px, self._board)
                 sight = Sight.STILL if figure_px <= self._limits.max_blur_px else Sight.BLURRED
             self._show(sight, figure_px)
-            if sight is Sight.STILL and corners_px is not None:
+            if self._recording.sound.is_ready() and sight is Sight.STILL and corners_px is not None:
                 return frame, corners_px
             self._recording.record(min(self._limits.still_s / 3, _LOOK_PAUSE_S))
         raise CaptureQualityError(
@@ -121,8 +121,9 @@ class Poses:
         n_missing = film.n_missing
         film.begin(first, self._pose)
         try:
+            changes = self._recording.clocks.latency.changes
             n_good = self._fire_all()
-            accepted = self._was_heard(n_good) and self._has_stayed(corners_px)
+            accepted = self._was_heard(n_good, changes) and self._has_stayed(corners_px)
             self._note_missing(film.n_missing - n_missing)
         finally:
             film.end()
@@ -157,19 +158,23 @@ class Poses:
         for channel, kind in now.items():
             if self._status.faults.get(channel) != kind:
                 self._recording.say(
-                    "warning", f"channel {channel} is {kind} in every emission: {_CHANNEL_REMEDIES[kind]}"
+                    "warning", f"channel {channel} is {kind} in every emission: {CHANNEL_REMEDIES[kind]}"
                 )
         for channel in self._status.faults.keys() - now.keys():
             self._recording.say("info", f"channel {channel} is good again")
         self._status.faults = now
 
-    def _was_heard(self, n_good: int) -> bool:
-        self._silent_poses = 0 if n_good else self._silent_poses + 1
-        if n_good:
+    def _was_heard(self, n_good: int, changes: int) -> bool:
+        """Tell whether the emissions count; `changes` is how often the latency had changed before them."""
+        latency = self._recording.clocks.latency
+        if n_good and latency.is_confirmed and latency.changes == changes:
+            self._unheard_poses = 0
             return True
-        line = f"{self._status.pose_label()}: no emission was good: check the buzzers' power and the microphones"
-        if self._silent_poses >= _MAX_SILENT_POSES:
-            raise CaptureQualityError(f"{line}; given up after {_MAX_SILENT_POSES} times")
+        self._unheard_poses += 1
+        unheard = VOID if self._recording.sound.is_void else _UNHEARD
+        line = f"{self._status.pose_label()}: {_UNSURE if n_good else unheard}"
+        if self._unheard_poses >= _MAX_UNHEARD_POSES:
+            raise CaptureQualityError(f"{line}; given up after {_MAX_UNHEARD_POSES} times")
         self._recording.say("warning", f"{line}; the same place again")
         return False
 
@@ -188,7 +193,8 @@ class Poses:
         between, last = film.end(), self._recording.look()
         film.keep(last)
         for frame in (*between, last):
-            corners_px = find_corners(frame.image, self._board)
+            corners_px = self._found(frame)
+            self._recording.listen()
             moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)
             if not moved_px < self._limits.still_px:
                 what = "was lost from sight" if corners_px is None else f"moved by {moved_px:.1f} px"
@@ -201,10 +207,15 @@ class Poses:
 
     def _look(self) -> tuple[Frame, FloatArray | None]:
         frame = self._recording.look()
-        return frame, find_corners(frame.image, self._board)
+        return frame, self._found(frame)
+
+    def _found(self, frame: Frame) -> FloatArray | None:
+        with self._recording.holdups.during(Cause.PICTURES):
+            return find_corners(frame.image, self._board)
 
     def _show(self, sight: Sight, figure_px: float) -> None:
         found = sight in (Sight.MOVING, Sight.SETTLING, Sight.BLURRED, Sight.STILL)
         self._status.state = State.SETTLING if found else State.WAITING
-        self._status.board = f"{sight.value} ({figure_px:.2f} px)" if found else sight.value
+        what = "blur" if sight in (Sight.BLURRED, Sight.STILL) else "moved by"
+        self._status.board = f"{sight.value} ({what} {figure_px:.2f} px)" if found else sight.value
         self._status.advice = _ADVICE[sight]

@@ -26,6 +26,8 @@ _DOUBT_S = 1.0  # so long must blocks be off before it counts as a step; a backl
 _BIG_JUMP_S = 0.05  # early by more than this, the clock has jumped; by less, a sound server may be in advance
 _EARLY_DOUBT_S = 3.0  # so long must blocks be early by less
 _START_UP_S = 3.0  # the first stamps may all be late
+_SETTLED_BINS = 3  # so many bins, and as many before them, must agree: as long as the start-up
+_SETTLED_S = 0.001  # then they move less in an emission than the way of the sound differs from pose to pose
 _RESOLUTION_S = 20e-6
 
 
@@ -94,6 +96,22 @@ class SampleClock:
     def is_in_doubt(self) -> bool:
         """Blocks come late or early, and it is not yet clear whether samples were lost."""
         return any(abs(stamp.late_s) > self._jump_s() for stamp in list(self._recent)[-2:])
+
+    @property
+    def is_settled(self) -> bool:
+        """The stamps keep step with the samples and with the line: for 3 s, but for single ones.
+
+        While a driver's or a sound server's buffers still fill or empty, stamps drift against the samples.
+        """
+        if len(self._samples) <= 2 * _SETTLED_BINS:
+            return False
+        bins = slice(-1 - 2 * _SETTLED_BINS, -1)  # the last one is not complete
+        samples, hosts_s = np.array(self._samples[bins]), np.array(self._hosts_s[bins])
+        line = self._needed_line()
+        off_s = hosts_s - line.host_s0 - (samples - line.sample0) * (1 + line.slope) / self._sample_rate_hz
+        before_s, after_s = median(off_s[:_SETTLED_BINS]), median(off_s[_SETTLED_BINS:])
+        tolerance_s = _SETTLED_S + line.spread_s
+        return bool(abs(after_s - before_s) <= tolerance_s and abs(after_s) <= tolerance_s)
 
     def sample_at(self, host_time_s: float) -> float | None:
         """Return the row of the recording, with its fraction, taken at a host time; None before the first block."""

@@ -9,6 +9,7 @@ import argparse
 import sys
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from verified_rig import calibrated_rig, checked, met_again, one_moved
 from calib.corners import find_pose_corners
 from calib.emissions import measure_tdoas
 from calib.measurements import Measurements
-from calib.settings import Settings
+from calib.settings import Method, Settings
 from calib.verification.comparison import Comparison
 from calib.verification.heldout import calibrate_without
 from calib.verification.location import Located, Speed
@@ -32,27 +33,31 @@ from rigs.session.aislab import import_aislab
 from rigs.session.reader import Session
 
 SPLITS = 5
-LAYOUTS = {"ours-1": "B", "ours-2": "A", "joint": "A"}  # of the buzzers, as the authors use them
+LAYOUTS: dict[Method, Literal["A", "B"]] = {
+    "ours-1": "B",
+    "ours-2": "A",
+    "joint": "A",
+}  # of buzzers, the authors'
 LIMIT_PX, LIMIT_M_PER_M, NAMED = 1.5, 0.003, 95
 
 
 def simulated(seeds: int, n_poses: int) -> None:
     print(f"Simulated rig, 25 poses to calibrate, {n_poses} other poses to verify, {seeds} seeds")
-    errors_px, per_m, expected, named, quiet, whole = [], [], [], 0, 0, 0
+    errors_px, per_m, expected_px, named, quiet, whole = [], [], [], 0, 0, 0
     resolution_mm = []
     for seed in range(seeds):
         rig, calibration = calibrated_rig(seed)
         still = checked(calibration, met_again(rig, seed, n_poses=n_poses))
         errors_px.append(still.comparison.error_px)
         per_m.append(still.comparison.error_m / still.comparison.distance_m)
-        expected.append(still.comparison.expected_px)
+        expected_px.append(still.comparison.expected_px)
         resolution_mm.append(1e3 * still.movement.resolution_m)
         quiet += still.moved == []
         channel, shifts_m = one_moved(seed)
         named += checked(calibration, met_again(rig, seed, n_poses=n_poses, shifts_m=shifts_m)).moved == [channel]
         shifts_m = shifts_m.sum(axis=0)
         whole += checked(calibration, met_again(rig, seed, n_poses=n_poses, shifts_m=shifts_m)).moved == [WHOLE_ARRAY]
-    errors, expected = np.concatenate(errors_px), np.concatenate(expected)
+    errors, expected = np.concatenate(errors_px), np.concatenate(expected_px)
     print(f"  in the picture, px       median {np.median(errors):.2f} (limit {LIMIT_PX}), rms {rms(errors):.2f}, "
           f"expected {rms(expected):.2f}")  # fmt: skip
     print(f"  in space, mm per metre   median {1e3 * np.median(np.concatenate(per_m)):.2f} "
@@ -91,7 +96,7 @@ def published() -> None:
     )
 
 
-def split_errors(layout: str, settings: Settings, number: int) -> tuple[Comparison, Located]:
+def split_errors(layout: Literal["A", "B"], settings: Settings, number: int) -> tuple[Comparison, Located]:
     """Calibrate without the poses that a split leaves out, and locate their emissions."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "aislab.h5"
@@ -102,7 +107,7 @@ def split_errors(layout: str, settings: Settings, number: int) -> tuple[Comparis
     order = np.random.default_rng(number).permutation(corners.pose)
     left_out = np.sort(order[: len(order) // 3])
     blank = ArrayCalibration(settings.method, channels, np.zeros((8, 3)), np.eye(24), 340.0, 1.0,
-                             Intrinsics(focal_px=(1, 1), principal_px=(0, 0)), "aislab", "")  # fmt: skip
+                             Intrinsics(focal_px=(1, 1), principal_px=(0, 0)), {"": "aislab"})  # fmt: skip
     calibration = calibrate_without(Measurements(description, corners, tdoas, settings), left_out, blank)
     corners = corners.only(np.isin(corners.pose, left_out))
     view = calibrated_view(calibration, description, corners)

@@ -18,6 +18,7 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from virtual_bench.session import (
+    Outcome,
     bench_offsets_s,
     captured_and_calibrated,
     corner_errors_px,
@@ -48,7 +49,7 @@ def main() -> int:
     return int(not all(is_good for *_, is_good in rows))
 
 
-def figures(outcome, duration_s):
+def figures(outcome: Outcome, duration_s: float) -> list[tuple[str, str, str, bool]]:
     """Return the rows of the table: what, limit, measured, whether it is within."""
     with Session.open(outcome.session_path) as session:
         offsets_s, p95_s = onset_offsets_s(session), spread_p95_s(onset_offsets_s(session))

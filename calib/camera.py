@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -71,15 +73,27 @@ def estimate_intrinsics(corners_px: FloatArray, board: Board, size_px: tuple[int
     pixels = [view_px[view].astype(np.float32) for view_px, view in zip(corners_px, seen, strict=True)]
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
     # k3 costs more in noise than it explains for any lens short of a fisheye
-    _, matrix, distortion, _, _ = cv2.calibrateCamera(
-        points, pixels, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3, criteria=criteria
-    )
+    with _one_thread():
+        _, matrix, distortion, _, _ = cv2.calibrateCamera(
+            points, pixels, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3, criteria=criteria
+        )
     k1, k2, p1, p2 = (float(value) for value in np.ravel(distortion)[:4])
     return Intrinsics(
         focal_px=(float(matrix[0, 0]), float(matrix[1, 1])),
         principal_px=(float(matrix[0, 2]), float(matrix[1, 2])),
         distortion=(k1, k2, p1, p2, 0.0),
     )
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let OpenCV sum in one order: with several threads the last digits differ from run to run."""
+    n_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(n_threads)
 
 
 def _reprojection_rms_px(corners_px: FloatArray, poses: list[Pose], board: Board, intrinsics: Intrinsics) -> float:

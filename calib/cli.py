@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,15 +15,17 @@ from rigs.command import run
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calib.settings import Method
+    from calib.settings import Method, Settings
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
-BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
+DIFFER = 5  # the exit code where two results do
+MOST_NAMES = 3  # of sessions, in the name of their result
+BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
 @click.option(
     "--method",
     type=click.Choice(METHODS),
@@ -56,15 +61,24 @@ BLOCKS = ("speed", "buzzers", "scale", "intrinsics", "poses")
 )
 @click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
 @click.option(
+    "--ignore-sync", is_flag=True, help="Joint makes no use of the board's sync output, where a channel recorded it."
+)
+@click.option(
     "--suggest-poses",
     type=click.IntRange(0, 50),
     default=0,
     metavar="N",
     help="Say which N board positions would help most.",
 )
+@click.option(
+    "--follow",
+    is_flag=True,
+    help="Solve again with every pose that is being captured; prints a line of JSON each time.",
+)
+@click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
-    session: Path,
+    files: tuple[Path, ...],
     method: Method,
     output: Path | None,
     overwrite: bool,
@@ -76,31 +90,87 @@ def command(
     hold: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
-) -> None:
+    ignore_sync: bool,
+    follow: bool,
+    compare: bool,
+) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
-    Writes SESSION.calib.yaml beside the session, which itself is never changed. Exit codes: 0 good, 2 usage,
-    5 data missing, damaged or not good enough, 130 interrupted.
+    Several sessions of one rig are solved together. Writes SESSION.calib.yaml beside the (first) session, of several
+    SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good, 2 usage,
+    5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
-    from calib.pipeline import calibrate
+    from calib.pipeline import calibrate, calibrate_together
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from calib.settings import Settings
     from rigs.session.reader import Session
 
     console = Console()
+    if compare:
+        return _compare(files, console)
+    session = files[0]
+    if len(files) > 1 and (follow or inspect_tdoa is not None):
+        raise click.UsageError("--follow and --inspect-tdoa take one session")
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
-        return
-    target = output or session.with_suffix(".calib.yaml")
-    with Session.open(session) as opened, console.status("opening") as status:
-        check_result_target(target, overwrite=overwrite)
-        settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses)
-        result = calibrate(opened, settings, lambda step: status.update(f"{session.name}: {step} ..."))
+        return None
+    target = output or _result_path(files)
+    settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    if follow:
+        _follow(session, target, settings, overwrite=overwrite)
+        return None
+    check_result_target(target, overwrite=overwrite)
+    with ExitStack() as stack:
+        status = stack.enter_context(console.status("opening"))
+        sessions = [stack.enter_context(Session.open(file)) for file in files]
+
+        def tell(step: str) -> None:
+            status.update(f"{step} ...")
+
+        together = len(sessions) > 1
+        result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
     write_calibration(result, target, overwrite=overwrite)
     show(result, target, console)
+    return None
+
+
+def _result_path(sessions: tuple[Path, ...]) -> Path:
+    """Return where the result goes if nothing else is asked for: beside the first session."""
+    if len(sessions) > MOST_NAMES:
+        name = f"{sessions[0].stem}+{len(sessions) - 1}-more"
+    else:
+        name = "+".join(session.stem for session in sessions)
+    return sessions[0].with_name(f"{name}.calib.yaml")
+
+
+def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:
+    import json
+
+    from calib.follow import follow
+
+    def say(progress: dict[str, object]) -> None:
+        try:
+            click.echo(json.dumps(progress))
+        except BrokenPipeError:  # nobody reads any more; the result is still wanted
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    follow(session, target, settings, say, overwrite=overwrite)
+
+
+def _compare(files: tuple[Path, ...], console: Console) -> int:
+    """Return 5 where the results differ, else 0."""
+    from calib.comparison import compare
+    from calib.comparison_screen import show_comparison
+    from calib.result_file import read_result
+
+    if len(files) != 2:
+        raise click.UsageError(f"--compare takes two results, not {len(files)}: name two .calib.yaml files")
+    comparison = compare(*(read_result(file) for file in files))
+    show_comparison(comparison, console)
+    return DIFFER if comparison.differ else 0
 
 
 def _inspect(path: Path, number: int, tdoa: TdoaMode, output: Path | None, console: Console) -> None:

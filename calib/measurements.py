@@ -14,7 +14,6 @@ from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.fit import FittedTdoas
-from calib.joint.uncertainty import microphone_covariances
 from calib.methods import make_problem, refit, solve
 from calib.problem import Estimate, TdoaProblem
 from calib.settings import Settings
@@ -73,13 +72,12 @@ class Measurements:
         fitted = FittedTdoas(self.problem.pose, buzzer, residuals_s, self.problem.present, estimate.speed_of_sound_m_s)
         return Answer(
             microphones_m=estimate.microphones_m,
-            covariance_m2=microphone_covariances(covariance, len(estimate.microphones_m)),
+            array_covariance_m2=covariance[:-1, :-1],
             speed_of_sound_m_s=estimate.speed_of_sound_m_s,
             speed_of_sound_std_m_s=float(np.sqrt(covariance[-1, -1])),
             view=self.view,
             residual=fitted.residual(),
             warnings=fit_doubts(self.description, fitted),
-            array_covariance_m2=covariance[:-1, :-1],
         )
 
     def covariance(self, estimate: Estimate) -> FloatArray:

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.joint.next_pose import Suggestion
+from calib.joint.observability import Weakest
+from calib.joint.uncertainty import microphone_covariances
+from calib.rejections import KINDS, Rejection
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
@@ -55,6 +59,17 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class SessionShare:
+    """One of several sessions that a result rests on; each has a speed of sound of its own."""
+
+    name: str
+    sha256: str
+    n_poses: int
+    speed_of_sound_m_s: float
+    speed_of_sound_std_m_s: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Microphones in the camera frame.
 
@@ -67,7 +82,8 @@ class Calibration:
         Input channel of each microphone.
     positions_m : (n_mics, 3) array
         Camera frame.
-    covariance_m2 : (n_mics, 3, 3) array
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array
+        Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
         Where the method holds the speed, the standard deviation is the rig description's.
     view : View
@@ -79,10 +95,14 @@ class Calibration:
         What was heard and what was wrong with it, in plain values; None where TDOAs were not measured in sound.
     held_out : HeldOut or None
         None for the paper's methods.
-    suggestions : tuple of str
+    suggestions : tuple of Suggestion
         Further board positions that would help most, the best first.
-    array_covariance_m2 : (3 n_mics, 3 n_mics) array or None
-        Of all microphones together: neighbours err alike, which `covariance_m2` does not tell.
+    weakest : Weakest or None
+        How the array is known worst; None for the paper's methods.
+    rejections : tuple of Rejection
+        What the result does not rest on, and why.
+    sessions : tuple of SessionShare
+        Where it was made from several; the speed of sound is then their mean.
     """
 
     session_name: str
@@ -90,7 +110,7 @@ class Calibration:
     method: str
     channels: tuple[int, ...]
     positions_m: FloatArray
-    covariance_m2: FloatArray
+    array_covariance_m2: FloatArray
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View
@@ -99,8 +119,20 @@ class Calibration:
     warnings: list[str]
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
-    suggestions: tuple[str, ...] = ()
-    array_covariance_m2: FloatArray | None = None
+    suggestions: tuple[Suggestion, ...] = ()
+    weakest: Weakest | None = None
+    rejections: tuple[Rejection, ...] = ()
+    sessions: tuple[SessionShare, ...] = ()
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance (n_mics, 3, 3) of each microphone."""
+        return microphone_covariances(self.array_covariance_m2, len(self.channels))
+
+    @property
+    def worst_std_m(self) -> FloatArray:
+        """Standard deviation (n_mics,) of each microphone in its weakest direction."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariance_m2)[:, -1]))
 
     @property
     def std_m(self) -> FloatArray:
@@ -145,21 +177,30 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "n_poses": len(result.view.board_to_camera),
         },
         "warnings": list(result.warnings),
-        "session": {"name": result.session_name, "sha256": result.session_sha256},
     }
+    if result.sessions:
+        document["sessions"] = [
+            asdict(share) | {name: _rounded(getattr(share, name), 4) for name in asdict(share) if "speed" in name}
+            for share in result.sessions
+        ]
+    else:
+        document["session"] = {"name": result.session_name, "sha256": result.session_sha256}
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
+    if result.weakest is not None:
+        document["weakest"] = asdict(result.weakest) | {"std_m": _rounded(result.weakest.std_m, 7)}
     if result.suggestions:
-        document["suggested_poses"] = list(result.suggestions)
+        document["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
     if result.sound is not None:
         document["sound"] = result.sound
+    if result.rejections:
+        document["rejected"] = {
+            f"{kind}s": [rejection.document() for rejection in result.rejections if rejection.kind == kind]
+            for kind in KINDS
+        }
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
-    if result.array_covariance_m2 is not None:  # the lower triangle, x y z of each microphone in turn
-        document["array_covariance_m2"] = [
-            [float(f"{value:.6g}") for value in row[: number + 1]]
-            for number, row in enumerate(result.array_covariance_m2)
-        ]
+    document["array_covariance_m2"] = [[float(f"{value:.9g}") for value in row] for row in result.array_covariance_m2]
     return document
 
 

@@ -148,3 +148,33 @@ def test_a_computer_that_is_too_slow_for_the_camera_says_so(monkeypatch):
     with pytest.raises(DeviceError, match=r"it: its pictures come late, .* too slow for so many: close other"):
         stream.next_frame(0.5)
     stream.stop()
+
+
+class Slowing(Endless):
+    """A camera that this computer keeps up with for some pictures, and then no longer."""
+
+    n_left = 20
+
+    def grab(self) -> bool:
+        """Wait for a new picture as long as there are some."""
+        if not self.n_left:
+            return super().grab()
+        self.n_left -= 1
+        time.sleep(0.02)
+        return True
+
+
+def test_pictures_may_come_late_for_a_while_whoever_asks(monkeypatch):
+    monkeypatch.setattr("acquire.devices.camera_stream._CATCH_UP_S", 1.5)
+    stream = PictureStream(Slowing, "it", is_live=True, fps=50.0)
+    stream.next_frame(8.0)
+    with pytest.raises(DeviceError, match=r"it: its pictures come late"):
+        check_on(stream)
+    assert time.monotonic() - stream._frame.host_time_s >= 1.5
+    stream.stop()
+
+
+def check_on(stream):
+    while True:
+        stream.check(0.3)
+        time.sleep(0.02)

@@ -1,5 +1,6 @@
 """The camera over OpenCV: what it refuses, what it tells, and what it must never do."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from acquire.capture import capture
 from acquire.devices.camera_lock import lock_controls
 from acquire.devices.camera_opencv import OpenCvCamera
 from acquire.devices.camera_source import SourceKind, camera_source
+from acquire.devices.jpeg_complaints import no_jpeg_complaints
 from acquire.errors import DeviceError
 from rigs.description import Exposure
 from rigs.session.reader import Session
@@ -127,6 +129,35 @@ for source in ("http://me:secret@127.0.0.1:1/x", "/dev/null", {str(tmp_path / "b
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
     assert done.stderr == ""
     assert len(done.stdout.splitlines()) == 3
+
+
+def test_a_damaged_jpeg_is_decoded_without_a_word_on_the_screen(tmp_path, capfd):
+    image = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    damaged = jpeg(image)[:-2] + b"\0\1\2" * 20 + b"\xff\xd9"
+    cv2.imdecode(np.frombuffer(damaged, np.uint8), cv2.IMREAD_COLOR)
+    assert "Corrupt JPEG data" in capfd.readouterr().err, "the picture is not damaged enough"
+    for number in range(3):
+        (tmp_path / f"{number}.jpg").write_bytes(damaged)
+    camera = opencv_camera(str(tmp_path))
+    camera.open()
+    assert camera.read().image.shape == image.shape
+    camera.close()
+    assert capfd.readouterr().err == ""
+
+
+def say_and_fail():
+    os.write(2, b"and the house")
+    raise DeviceError("the sensor melts")
+
+
+def test_other_words_on_standard_error_are_not_lost(capfd):
+    with no_jpeg_complaints():
+        os.write(2, b"Corrupt JPEG data: 58 extraneous bytes before marker 0xd9\nthe disk is on fire\n")
+        assert capfd.readouterr().err == ""
+    assert capfd.readouterr().err == "the disk is on fire\n"
+    with pytest.raises(DeviceError), no_jpeg_complaints():
+        say_and_fail()
+    assert capfd.readouterr().err == "and the house"
 
 
 def test_what_was_stored_up_while_nobody_read_is_never_handed_over():

@@ -131,13 +131,13 @@ def test_a_silent_buzzer_is_fired_again_and_stored_as_not_accepted(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("silent_buzzer", buzzer=7), poses=1)
     assert "buzzer 7: not heard, 3 times: check its cable and plug" in listener.warnings()
     with Session.open(tmp_path / "s.h5") as session:
-        assert session.emissions[["buzzer", "accepted"]].tolist() == [(1, 1), (7, 0), (7, 0), (7, 0)]
-        assert session.poses["accepted"].tolist() == [1]
+        assert session.emissions[["buzzer", "accepted"]].tolist() == 2 * [(1, 1), (7, 0), (7, 0), (7, 0)]
+        assert session.poses["accepted"].tolist() == [0, 1]  # one emission does not confirm the latency
 
 
 def test_an_overflow_is_flagged_logged_and_its_emission_fired_again(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("audio_overflow", pose=1))
-    assert listener.warnings().count("says audio was lost before") == 1
+    assert listener.warnings().count("of the recording: the sound device says so") == 1
     with Session.open(tmp_path / "s.h5") as session:
         assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_OVERFLOW) == 1
         assert session.emissions["expected_sample"][session.emissions["accepted"] == 0].tolist() == [-1]
@@ -179,7 +179,7 @@ def test_a_device_lost_at_once_leaves_an_empty_session(tmp_path):
 
 
 def test_a_board_that_stays_where_it_is_ends_the_wait(tmp_path):
-    found = small_rig(capture={"new_pose_px": 1000, "pose_timeout_s": 3})
+    found = small_rig(capture={"new_pose_px": 1000, "pose_timeout_s": 6})
     with pytest.raises(
         errors.CaptureQualityError, match="where it was before: move the board to a place where it has not been; 1"
     ):

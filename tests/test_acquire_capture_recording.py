@@ -8,9 +8,10 @@ from capturing import Listener, small_rig
 
 from acquire.devices.choose import choose_devices
 from acquire.errors import DeviceError, DeviceLostError
+from acquire.holdups import Cause, HoldUps
 from acquire.recording import Recording
 from acquire.status import Status
-from rigs.session.layout import FLAG_GAP
+from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
 from rigs.session.writer import SessionWriter
 
@@ -79,8 +80,8 @@ def test_samples_lost_without_a_word_are_found_by_the_clock(tmp_path):
     writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
     with writer:
         recording.record(8.0)
-    assert recording.losses == 1
-    assert "the clock says audio was lost before" in screen.warnings()
+    assert recording.sound.losses.n == 1
+    assert "of the recording: the clock says so" in screen.warnings()
     with Session.open(tmp_path / "s.h5") as session:
         assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_GAP) == 1
 
@@ -90,10 +91,10 @@ def test_what_has_left_memory_is_not_given(tmp_path):
     writer, recording = recording_of(choose_devices(found.description), found, tmp_path / "s.h5", Listener())
     with writer:
         recording.record(10.0)
-        first, samples = recording.samples(0, writer.n_samples)
+        first, samples = recording.sound.samples(0, writer.n_samples)
         assert first > 0
         assert first + len(samples) == writer.n_samples
-        assert len(recording.samples(writer.n_samples, writer.n_samples + 100)[1]) == 0
+        assert len(recording.sound.samples(writer.n_samples, writer.n_samples + 100)[1]) == 0
 
 
 class SlowWriter:
@@ -116,16 +117,13 @@ def test_a_slow_disk_is_warned_of_and_costs_no_sample(tmp_path):
     found, screen = small_rig(), Listener()
     rig = choose_devices(found.description)
     writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
-    recording.writer = SlowWriter(writer, rig.clock, 96000, 3.0)
+    recording.sound._writer = SlowWriter(writer, rig.clock, 96000, 3.0)
     with writer:
         recording.record(3.0)
         assert recording.status.backlog_s < 1
         recording.record(5.0)
-    assert (
-        screen.warnings().count("s of audio had to wait, nothing of it is lost: the disk or the computer is too slow")
-        == 1
-    )
-    assert recording.losses == 0
+    assert screen.warnings().count("s of audio had to wait for the disk, nothing of it is lost: record to another") == 1
+    assert recording.sound.losses.n == 0
     with Session.open(tmp_path / "s.h5") as session:
         assert not session.audio_blocks["flags"].any()
         assert session.n_samples > 7.9 * 48000
@@ -152,5 +150,69 @@ def test_stamps_that_step_back_tell_of_a_host_that_slept(tmp_path):
         recording.record(5.0)
         rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s - 0.5) for block in read()]
         recording.record(2.0)
-    assert "the host's clock jumped by 0.50 s before 5." in screen.warnings()
-    assert recording.losses == 1
+    assert "the host's clock jumped by 0.50 s: did the computer sleep?" in screen.warnings()
+    assert recording.sound.losses.n == 1
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.004])
+def test_sound_is_ready_once_its_times_have_settled_or_after_a_while(tmp_path, drift):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    read = rig.audio.read
+    rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s * (1 + drift)) for block in read()]
+    with writer:
+        for _ in range(2):
+            recording.sound.reopened()
+            begin_s, said = rig.clock.now_s(), len(screen.messages)
+            while not recording.sound.is_ready():
+                recording.record(0.1)
+            waited_s = rig.clock.now_s() - begin_s
+            heard = [message.text for message in screen.messages[said:]]
+            waiting = [text for text in heard if "until the sound device's times have settled, 15 s at most" in text]
+            given_up = [text for text in heard if "times still shift 15 s after it was opened, going on" in text]
+            assert (len(waiting), len(given_up)) == ((1, 1) if drift else (0, 0))
+            assert 15 < waited_s < 16 if drift else 3 < waited_s < 4
+            assert recording.sound.is_ready()
+
+
+def test_a_flood_of_losses_is_one_line_that_says_how_much_is_missing_and_one_for_the_rest(tmp_path):
+    found, screen = small_rig(), Listener()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", screen)
+    read, late_s = rig.audio.read, 0.0
+
+    def lossy():
+        nonlocal late_s
+        blocks = []
+        for block in read():
+            late_s += 0.01 if late_s else 7.3
+            blocks.append(replace(block, host_time_s=block.host_time_s + late_s, flags=FLAG_OVERFLOW))
+        return blocks
+
+    with writer:
+        recording.record(4.0)
+        rig.audio.read = lossy
+        recording.record(0.3)
+        rig.audio.read = lambda: [replace(block, host_time_s=block.host_time_s + late_s) for block in read()]
+        recording.record(1.5)
+    told = [message.text for message in screen.messages if "missing" in message.text]
+    assert recording.sound.losses.n > 10
+    assert len(told) == 2
+    assert told[0].startswith("7.3 s of sound missing at 4.0 s of the recording: the sound device says so")
+    assert told[1].startswith(f"{0.01 * (recording.sound.losses.n - 1):.1f} s of sound missing until 4.3 s, lost ")
+
+
+def test_what_sound_waits_for_is_told(tmp_path):
+    rig = choose_devices(small_rig().description)
+    holdups = HoldUps(rig.clock)
+    assert holdups.blame() is Cause.COMPUTER
+    with holdups.during(Cause.PICTURES):
+        rig.clock.sleep_s(2.0)
+    with holdups.during(Cause.DISK):
+        rig.clock.sleep_s(1.0)
+    assert holdups.blame() is Cause.PICTURES
+    with holdups.during(Cause.DISK):
+        rig.clock.sleep_s(1.0)
+    rig.clock.sleep_s(1.5)
+    assert holdups.blame() is Cause.COMPUTER

@@ -1,5 +1,6 @@
 """The latency of the audio path: learnt in a wide window, followed, and learnt anew when it changes."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -111,3 +112,68 @@ def test_one_outlier_does_not_move_the_latency():
     assert latency.window_s() == pytest.approx((0.07, 0.13))
     latency.forget()
     assert not latency.is_known
+
+
+def test_one_sound_that_contradicts_does_not_count_and_two_that_agree_do():
+    latency = Latency(0.03)
+    assert latency.learn(0.197)
+    assert not latency.is_confirmed
+    assert not latency.learn(0.302)
+    assert not latency.learn(0.072)
+    assert latency.value_s == pytest.approx(0.197)
+    assert not latency.learn(0.301)
+    assert latency.changes == 0
+    assert latency.learn(0.303)
+    assert latency.is_confirmed
+    assert latency.changes == 1
+    assert latency.value_s == pytest.approx(0.302)
+
+
+def test_what_was_known_before_confirms_the_latency_of_a_path_that_is_as_it_was():
+    latency = Latency(0.03)
+    for offset_s in (0.3, 0.301, 0.302):
+        latency.learn(offset_s)
+    latency.forget()
+    assert not latency.is_known
+    assert latency.learn(0.304)
+    assert latency.is_confirmed
+    latency.forget()
+    assert latency.learn(0.1)
+    assert not latency.is_confirmed
+    assert latency.changes == 0
+
+
+class Misheard:
+    """A board whose first emissions sound earlier than it says, and all of them later: the first ones mislead."""
+
+    def __init__(self, trigger, n_early, early_s):
+        self._trigger, self._n_early, self._early_s = trigger, n_early, early_s
+
+    def __getattr__(self, name):
+        return getattr(self._trigger, name)
+
+    def play(self, buzzer, waveform):
+        start = self._trigger.play(buzzer, waveform)
+        self._n_early -= 1
+        off_s = 0.2 - self._early_s * (self._n_early >= 0)
+        return replace(start, host_time_s=start.host_time_s - off_s)
+
+
+@pytest.mark.parametrize("early_s", [0.105, 0.05, -0.08])
+def test_a_latency_learnt_from_another_sound_costs_the_pose_and_is_learnt_anew(tmp_path, monkeypatch, early_s):
+    choose = capture_module.choose_devices
+
+    def chosen(description, *, seed=None):
+        rig = choose(description, seed=seed)
+        return replace(rig, trigger=Misheard(rig.trigger, 1, early_s))
+
+    monkeypatch.setattr(capture_module, "choose_devices", chosen)
+    listener = captured(tmp_path / "s.h5", small_rig(capture={"poses": 2}))
+    what = f"{1e3 * abs(early_s):.0f} ms too {'late' if early_s > 0 else 'early'}; firing it again"
+    assert re.search(rf"pose 1 of 2, buzzer 7: heard {what}", listener.warnings())
+    assert "its emissions disagree on the latency of the audio" in listener.warnings()
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.poses["accepted"].tolist() == [0, 1, 1]
+        assert session.emissions["accepted"].tolist() == [1, 0, 1, 1, 1, 1, 1]
+        late_s = session.onsets["measured_sample"] - session.emissions["expected_sample"]
+        assert np.abs(late_s[2:]).max() / session.sample_rate_hz < 0.004

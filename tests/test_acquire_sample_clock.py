@@ -170,3 +170,39 @@ def test_the_longest_stretch_gives_the_rate_of_the_session():
     fit = clock.longest_fit()
     assert 1e6 * (fit.rate / RATE_HZ - 1) == pytest.approx(40.0, abs=3)
     assert fit.since_s == pytest.approx(START_S, abs=0.5)
+
+
+def test_steady_stamps_have_settled_after_the_start_up_although_some_come_late():
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(500)
+    settled = [clock.add(*each) is None and clock.is_settled for each in zip(samples.tolist(), hosts_s, strict=True)]
+    first = settled.index(True)
+    assert 3.0 <= samples[first] / RATE_HZ < 3.6
+    assert np.mean(settled[first:]) > 0.95
+
+
+@pytest.mark.parametrize("drift_s", [0.2, -0.2])
+def test_a_stream_whose_buffers_still_fill_or_empty_has_not_settled(drift_s):
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(900, mean_late_s=0.0002)
+    left_s = drift_s * np.exp(-samples / RATE_HZ / 1.5)
+    settled_s = []
+    for sample, host_s in zip(samples.tolist(), (hosts_s - left_s).tolist(), strict=True):
+        clock.add(sample, host_s)
+        if clock.is_settled:
+            settled_s.append(sample / RATE_HZ)
+    assert abs(drift_s) * np.exp(-settled_s[0] / 1.5) < 0.005  # what is left to come
+    assert settled_s[-1] > 18.0
+    assert clock.sample_at(START_S + 19.0) == pytest.approx(19.0 * RATE_HZ, abs=0.001 * RATE_HZ)
+
+
+def test_stamps_have_not_settled_while_the_line_still_follows_the_first_ones():
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(500, mean_late_s=0.0002)
+    hosts_s[samples > 1.0 * RATE_HZ] += 0.004  # too little for lost samples
+    for sample, host_s in zip(samples.tolist(), hosts_s.tolist(), strict=True):
+        clock.add(sample, host_s)
+        if clock.is_settled:
+            break
+    true_s = START_S + 0.004 + sample / RATE_HZ
+    assert clock.sample_at(true_s) == pytest.approx(sample, abs=0.0015 * RATE_HZ)

@@ -102,6 +102,15 @@ def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys)
     assert {one["pose"] for one in found["emissions"]} == {1, 4, 7, 10}
 
 
+def test_one_of_several_calibrated_sessions_is_refused(calibration, document, tmp_path, capsys):
+    document["sessions"] = [document.pop("session"), {"name": "s0", "sha256": "0" * 64}]
+    exit_code, error = refused(
+        capsys, calibration.with_name("s1.h5"), spoilt(tmp_path, document), "-o", tmp_path / "own"
+    )
+    assert exit_code == 2
+    assert "was made from 2 sessions, s1 among them" in error
+
+
 def test_an_edited_calibration_of_the_own_session_is_refused(calibration, document, tmp_path, capsys):
     document["microphones"][2]["position_m"][0] += 0.02
     exit_code, error = refused(
@@ -131,7 +140,7 @@ def test_the_name_of_the_calibrated_session_is_told(tmp_path, simulated_descript
     ("spoil", "words"),
     [
         (lambda d: d.pop("array_covariance_m2"), "no array_covariance_m2"),
-        (lambda d: d["array_covariance_m2"].pop(), "not the lower triangle"),
+        (lambda d: d["array_covariance_m2"].pop(), "not the 24 x 24 numbers"),
         (lambda d: d["array_covariance_m2"][3].__setitem__(3, 1.0), "contradict each other"),
         (lambda d: d["microphones"][1].pop("covariance_m2"), "microphones.1.covariance_m2: field required"),
         (lambda d: d["microphones"][1].pop("position_m"), "microphones.1.position_m"),
@@ -141,6 +150,8 @@ def test_the_name_of_the_calibrated_session_is_told(tmp_path, simulated_descript
         (lambda d: d["microphones"][1].update(channel=12), "a microphone on channel 12, the session's rig"),
         (lambda d: d["camera"].update(principal_px=[64.0, 36.0]), "another camera's calibration"),
         (lambda d: d["camera"].update(focal_px=[-1.0, 940.0]), "focal lengths must be greater than 0"),
+        (lambda d: d["array_covariance_m2"][3].__setitem__(9, 1.0), "not a covariance"),
+        (lambda d: d.pop("session"), "session: field required"),
         (lambda d: d.update(format="something else"), "not a result of rig-calibrate"),
         (lambda d: d.update(version=2), "of version 2"),
         (lambda d: d.update(microphones="none"), "microphones: "),
@@ -160,7 +171,7 @@ def test_fewer_channels_are_verified_or_refused(later, document, tmp_path, capsy
     def keep(n: int) -> Path:
         part = document | {
             "microphones": document["microphones"][:n],
-            "array_covariance_m2": document["array_covariance_m2"][: 3 * n],
+            "array_covariance_m2": [row[: 3 * n] for row in document["array_covariance_m2"][: 3 * n]],
         }
         return spoilt(tmp_path, part)
 

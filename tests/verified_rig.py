@@ -50,8 +50,7 @@ def calibrated(rig: Rig) -> ArrayCalibration:
         solution.at.speed_m_s,
         float(np.sqrt(covariance[speed, speed][0, 0])),
         refined_view(rig.view(), solution).intrinsics,
-        "first",
-        "0" * 64,
+        {"0" * 64: "first"},
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from acquire.devices.base import Frame
 from acquire.devices.camera_backlog import Backlog, Sleep
 from acquire.devices.frame_queue import FrameQueue
+from acquire.devices.jpeg_complaints import no_jpeg_complaints
 from acquire.errors import DeviceError
 
 Picture = NDArray[np.uint8]
@@ -113,9 +114,11 @@ class PictureStream:
             return self._newer_frame(asked_s, timeout_s)
 
     def check(self, timeout_s: float) -> None:
-        """See that pictures come. Raises as `next_frame` does, without waiting."""
+        """See that pictures come, and new ones now and then. Raises as `next_frame` does, without waiting."""
+        now_s = time.monotonic()
         with self._changed:
-            self._newer_frame(time.monotonic() - timeout_s, timeout_s)
+            old_ones_come = self.grabbed[1] > now_s - timeout_s
+            self._newer_frame(now_s - (_CATCH_UP_S if old_ones_come else timeout_s), timeout_s)
 
     def stop(self) -> None:
         """End the thread; one that hangs in a driver is left behind and lets go when the driver does."""
@@ -171,7 +174,8 @@ class PictureStream:
         is_due = queue is not None and queue.is_due(now_s)
         if self._wanted or is_due or now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
-            good, picture = pictures.retrieve()
+            with no_jpeg_complaints():
+                good, picture = pictures.retrieve()
             if good:  # one damaged picture is no loss: the next is awaited
                 frame = Frame(np.asarray(picture, dtype=np.uint8), now_s)
                 self._take(frame)

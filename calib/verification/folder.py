@@ -89,8 +89,7 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "session": verification.session_name,
         "calibration": {
             "method": calibration.method,
-            "session": calibration.session_name,
-            "sha256": calibration.session_sha256,
+            "sessions": [{"name": name, "sha256": sha256} for sha256, name in calibration.sessions.items()],
             "made_again_without_these_poses": verification.made_again,
         },
         "speed_of_sound_m_s": round(verification.located.speed.m_s, 3),

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.answer import Answer
+from calib.errors import ResultFileError
 from calib.joint.session import answer_jointly
 from calib.measurements import Measurements
 from calib.settings import Settings
-from calib.verification.stored import ArrayCalibration, StoredCalibrationError
+from calib.verification.stored import ArrayCalibration
 from rigs.description import RigDescription
 
 EVERY = 3
@@ -31,19 +32,33 @@ def held_out_poses(poses: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.sort(poses)[EVERY // 2 :: EVERY]
 
 
+def check_alone(calibration: ArrayCalibration, session_sha256: str) -> None:
+    """Refuse to make a calibration of several sessions again from one of them.
+
+    Raises
+    ------
+    ResultFileError
+    """
+    if len(calibration.sessions) > 1:
+        raise ResultFileError(
+            f"the calibration was made from {len(calibration.sessions)} sessions, "
+            f"{calibration.sessions[session_sha256]} among them, so none of its poses is new: verify on another session"
+        )
+
+
 def check_unchanged(calibration: ArrayCalibration, again: ArrayCalibration) -> None:
     """Refuse a file whose microphones are not those that its session gives.
 
     Raises
     ------
-    StoredCalibrationError
+    ResultFileError
         One stands farther off than the poses left out explain.
     """
     apart_m = np.linalg.norm(calibration.positions_m - again.positions_m, axis=1)
     std_m = np.sqrt(np.diag(again.covariance_m2).reshape(-1, 3).sum(axis=1))
     worst = int(np.argmax(apart_m - TOLERATED_SIGMAS * std_m))
     if apart_m[worst] > TOLERATED_SIGMAS * std_m[worst] + TOLERATED_M:
-        raise StoredCalibrationError(
+        raise ResultFileError(
             f"the calibration has microphone {calibration.channels[worst]} {1e3 * apart_m[worst]:.1f} mm from where "
             "its own session puts it: was it edited by hand, or made with --hold or --find-delays? Verify on another "
             "session"
@@ -70,8 +85,7 @@ def calibrate_without(
         answer.speed_of_sound_m_s,
         answer.speed_of_sound_std_m_s,
         answer.view.intrinsics,
-        calibration.session_name,
-        calibration.session_sha256,
+        calibration.sessions,
     )
 
 

@@ -19,7 +19,7 @@ from calib.joint.assemble import arrival_table, emission_rows
 from calib.measurements import Measurements
 from calib.sound import windows_of
 from calib.verification.comparison import Comparison, compare, see_buzzers
-from calib.verification.heldout import calibrate_without, check_unchanged, held_out_poses, settings_of
+from calib.verification.heldout import calibrate_without, check_alone, check_unchanged, held_out_poses, settings_of
 from calib.verification.location import Heard, Located, Speed, locate
 from calib.verification.movement import MovementCheck, check_movement
 from calib.verification.steering import ResponseMap, SteeredResponse
@@ -93,13 +93,14 @@ def verify(
     """
     description = session.description
     tell("finding the board in the pictures")
-    corners = find_pose_corners(session, MIN_POSES)
+    corners = find_pose_corners(session, min_poses=MIN_POSES)
     tell("measuring arrivals in the sound")
     session_sha256 = session.sha256()
     tdoas = measure_tdoas(session, cache=ArrivalCache(session.path, session_sha256))
-    made_again = session_sha256 == calibration.session_sha256
+    made_again = session_sha256 in calibration.sessions
     known = Speed(description.medium.speed_m_s(), description.medium.speed_std_m_s())
     if made_again:
+        check_alone(calibration, session_sha256)
         tell("calibrating without the poses to verify")
         held_out = held_out_poses(corners.pose)
         measured = Measurements(description, corners, tdoas, settings_of(calibration, description))
@@ -202,7 +203,7 @@ def _maps(
 
 
 def _name_doubts(session: Session, calibration: ArrayCalibration, *, made_again: bool) -> list[str]:
-    if made_again or session.name != calibration.session_name:
+    if made_again or session.name not in calibration.sessions.values():
         return []
     doubt = (
         f"the calibration was made from a session of this name, {session.name}, with another content: if this is that "

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from calib.tdoa import MAGNITUDE_FLOOR
+from calib.gcc import MAGNITUDE_FLOOR
 from rigs.board import camera_matrix
 from rigs.description import Intrinsics
 

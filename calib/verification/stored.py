@@ -12,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calib.errors import CalibrationError
+from calib.errors import ResultFileError
 from calib.result import FORMAT, VERSION
 from calib.settings import Method
 from rigs.description import Intrinsics, RigDescription
@@ -23,12 +23,6 @@ FloatArray = NDArray[np.float64]
 LARGEST_FILE = 10_000_000
 MIN_CHANNELS = 5  # four find a place, the fifth tells whether it is right
 ROUNDING = 1e-4  # of the larger of two entries that should be alike
-
-
-class StoredCalibrationError(CalibrationError):
-    """A calibration file is missing, is none, is damaged, or does not fit the session."""
-
-    exit_code = 2
 
 
 @dataclass(frozen=True)
@@ -47,8 +41,8 @@ class ArrayCalibration:
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
         Of the air at the time.
     intrinsics : Intrinsics
-    session_name, session_sha256 : str
-        What it was made from.
+    sessions : dict of str to str
+        What it was made from: SHA-256 of each session, and its name.
     """
 
     method: Method
@@ -58,8 +52,7 @@ class ArrayCalibration:
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     intrinsics: Intrinsics
-    session_name: str
-    session_sha256: str
+    sessions: dict[str, str]
 
 
 class _Part(BaseModel):
@@ -94,7 +87,8 @@ class _Document(_Part):
     microphones: Annotated[list[_Microphone], Field(min_length=1, max_length=64)]
     array_covariance_m2: list[list[float]]
     camera: _Camera
-    session: _Session
+    session: _Session | None = None
+    sessions: tuple[_Session, ...] = ()
 
 
 def read_calibration(path: Path) -> ArrayCalibration:
@@ -102,7 +96,7 @@ def read_calibration(path: Path) -> ArrayCalibration:
 
     Raises
     ------
-    StoredCalibrationError
+    ResultFileError
         Naming what is wrong, and where in the file.
     """
     document = _document(path)
@@ -110,10 +104,13 @@ def read_calibration(path: Path) -> ArrayCalibration:
         stored = _Document.model_validate(document)
         intrinsics = Intrinsics(**stored.camera.model_dump())
     except ValidationError as error:
-        raise StoredCalibrationError(f"{path}: {_first_fault(error)}; {_AGAIN}") from error
+        raise ResultFileError(f"{path}: {_first_fault(error)}; {_AGAIN}") from error
+    sessions = stored.sessions if stored.session is None else (stored.session,)
+    if not sessions:
+        raise ResultFileError(f"{path}: session: field required; {_AGAIN}")
     channels = tuple(microphone.channel for microphone in stored.microphones)
     if len(set(channels)) < len(channels):
-        raise StoredCalibrationError(f"{path}: microphones: a channel is listed twice; {_AGAIN}")
+        raise ResultFileError(f"{path}: microphones: a channel is listed twice; {_AGAIN}")
     return ArrayCalibration(
         stored.method,
         channels,
@@ -122,8 +119,7 @@ def read_calibration(path: Path) -> ArrayCalibration:
         stored.speed_of_sound_m_s,
         stored.speed_of_sound_std_m_s,
         intrinsics,
-        stored.session.name,
-        stored.session.sha256,
+        {session.sha256: session.name for session in sessions},
     )
 
 
@@ -132,23 +128,23 @@ def check_fit(calibration: ArrayCalibration, description: RigDescription, path: 
 
     Raises
     ------
-    StoredCalibrationError
+    ResultFileError
     """
     n_known, present = len(calibration.channels), description.audio.channels
     if n_known < MIN_CHANNELS:
-        raise StoredCalibrationError(
+        raise ResultFileError(
             f"{path}: it has {n_known} microphones, at least {MIN_CHANNELS} are needed to locate and to check a sound"
         )
     strange = [channel for channel in calibration.channels if channel not in present]
     if strange:
-        raise StoredCalibrationError(
+        raise ResultFileError(
             f"{path}: it has a microphone on channel {strange[0]}, the session's rig ({description.name}) has "
             f"{', '.join(map(str, present))}: is it another rig's calibration?"
         )
     middle_px = np.array(calibration.intrinsics.principal_px) / np.array(description.camera.size_px)
     if not ((middle_px > 0.25) & (middle_px < 0.75)).all():
         width, height = description.camera.size_px
-        raise StoredCalibrationError(
+        raise ResultFileError(
             f"{path}: its camera's middle lies at {calibration.intrinsics.principal_px[0]:.0f}, "
             f"{calibration.intrinsics.principal_px[1]:.0f} px, the session's pictures are {width} x {height}: is it "
             "another camera's calibration, or one at another picture size?"
@@ -161,20 +157,20 @@ _AGAIN = "was it edited by hand? Make it again with rig-calibrate"
 def _document(path: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > LARGEST_FILE:
-            raise StoredCalibrationError(f"{path}: far too large for a calibration: name a .calib.yaml")
+            raise ResultFileError(f"{path}: far too large for a calibration: name a .calib.yaml")
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise StoredCalibrationError(f"{path}: {reason(error)}: name a result of rig-calibrate") from error
+        raise ResultFileError(f"{path}: {reason(error)}: name a result of rig-calibrate") from error
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise StoredCalibrationError(f"{path}: not readable as YAML ({reason(error)}); {_AGAIN}") from error
+        raise ResultFileError(f"{path}: not readable as YAML ({reason(error)}); {_AGAIN}") from error
     if not isinstance(document, Mapping) or document.get("format") != FORMAT:
-        raise StoredCalibrationError(f"{path}: not a result of rig-calibrate: name a .calib.yaml")
+        raise ResultFileError(f"{path}: not a result of rig-calibrate: name a .calib.yaml")
     if document.get("version") != VERSION:
-        raise StoredCalibrationError(
+        raise ResultFileError(
             f"{path}: of version {document.get('version')!r}, this software reads {VERSION}: use what made it"
         )
     if "array_covariance_m2" not in document:
-        raise StoredCalibrationError(
+        raise ResultFileError(
             f"{path}: has no array_covariance_m2, so expected errors are unknown: make it again with rig-calibrate"
         )
     return document
@@ -187,31 +183,30 @@ def _first_fault(error: ValidationError) -> str:
 
 
 def _whole_covariance(path: Path, stored: _Document) -> FloatArray:
-    """Return the covariance of all coordinates, from the lower triangle that is stored.
+    """Return the covariance of all coordinates.
 
     Raises
     ------
-    StoredCalibrationError
+    ResultFileError
         It is no covariance, or not that of the microphones beside it.
     """
     size = 3 * len(stored.microphones)
     rows = stored.array_covariance_m2
-    if [len(row) for row in rows] != list(range(1, size + 1)):
-        raise StoredCalibrationError(
-            f"{path}: array_covariance_m2: not the lower triangle of {size} rows that {len(stored.microphones)} "
-            f"microphones need; {_AGAIN}"
+    if [len(row) for row in rows] != [size] * size:
+        raise ResultFileError(
+            f"{path}: array_covariance_m2: not the {size} x {size} numbers that {len(stored.microphones)} microphones "
+            f"need; {_AGAIN}"
         )
-    covariance = np.zeros((size, size))
-    for number, row in enumerate(rows):
-        covariance[number, : number + 1] = covariance[: number + 1, number] = row
+    covariance = np.array(rows)
     blocks = np.array([microphone.covariance_m2 for microphone in stored.microphones])
     scale = float(np.diag(covariance).max())
     for number, block in enumerate(blocks):
         place = slice(3 * number, 3 * number + 3)
         if np.abs(covariance[place, place] - block).max() > ROUNDING * scale:
-            raise StoredCalibrationError(
+            raise ResultFileError(
                 f"{path}: microphones.{number}.covariance_m2 and array_covariance_m2 contradict each other; {_AGAIN}"
             )
-    if not scale > 0 or np.linalg.eigvalsh(covariance)[0] < -ROUNDING * scale:
-        raise StoredCalibrationError(f"{path}: array_covariance_m2: not a covariance; {_AGAIN}")
+    uneven = float(np.abs(covariance - covariance.T).max())
+    if not scale > 0 or uneven > ROUNDING * scale or np.linalg.eigvalsh(covariance)[0] < -ROUNDING * scale:
+        raise ResultFileError(f"{path}: array_covariance_m2: not a covariance; {_AGAIN}")
     return covariance

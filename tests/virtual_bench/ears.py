@@ -96,6 +96,9 @@ class Ears:
 
     def play(self) -> None:
         """Give the loudspeaker what it is due, with the microphones' noise."""
+        if self._loudspeaker.stood_still:
+            self._loudspeaker.restart()
+            self._mix = Mix(self._loudspeaker.channels, self._loudspeaker.written)
         sound = self._mix.take(self._loudspeaker.due())
         noise = self._rng.standard_normal(sound.shape, dtype=np.float32) * self._air.noise_rms
         self._loudspeaker.play(np.clip(sound + noise, -1, 1))

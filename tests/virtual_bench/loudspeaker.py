@@ -24,6 +24,7 @@ _QUANTILE = 0.1  # of the readings: most come late on a busy machine, one now an
 _STEP_S = 0.0005  # the origin follows in steps of at least this much: the sink's clock drifts by some 40 ppm
 _SLIP_S = 0.005  # a step beyond this is a break in the sound
 _PIPE_BYTES = 1 << 18
+_STANDSTILL_S = 1.0  # so long takes no sample but those that a server that stood still takes
 _READING = re.compile(rb"Time: ([\d.]+) sec")
 
 
@@ -68,18 +69,9 @@ class Loudspeaker:
 
     def __init__(self, server: PulseServer) -> None:
         self.rate_hz, self.channels = server.rate_hz, server.channels
-        self.origin = SoundOrigin()
-        self.origin_s = float("nan")
+        self.server = server
         self.slips_s: list[float] = []
-        self.written = 0
-        self._pacat = subprocess.Popen(
-            server.pacat_command(_LATENCY_MS, "--verbose"),
-            stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=server.environment,
-        )  # fmt: skip
-        assert self._pacat.stdin is not None
-        fcntl.fcntl(self._pacat.stdin, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-        self._reader = Thread(target=self._read, daemon=True)
-        self._reader.start()
+        self._spawn()
 
     def start(self, timeout_s: float = 20.0) -> None:
         """Play silence until it is known when each sample sounds."""
@@ -99,13 +91,21 @@ class Loudspeaker:
 
     def play(self, samples: NDArray[np.float32]) -> None:
         """Write samples (n, channels) after those before."""
+        begin_s = time.monotonic()
         self._pacat.stdin.write(samples.astype(np.float32, copy=False).tobytes())
         self._pacat.stdin.flush()
         self.written += len(samples)
+        self.stood_still |= time.monotonic() - begin_s > _STANDSTILL_S
 
     def sample_at(self, host_s: float) -> float:
         """Return the sample, with its fraction, that sounds at a host time."""
         return (host_s - self.origin_s) * self.rate_hz
+
+    def restart(self) -> None:
+        """Begin anew: a server that stood still would play all that follows late, by as long as that was."""
+        self.close()
+        self._spawn()
+        self.start()
 
     def keep_time(self) -> None:
         """Let the origin follow the sink's clock, or a break in the sound; to be called only while nothing sounds."""
@@ -123,6 +123,20 @@ class Loudspeaker:
         self._reader.join()
         self._pacat.stdin.close()
         self._pacat.stderr.close()
+
+    def _spawn(self) -> None:
+        self.origin = SoundOrigin()
+        self.origin_s = float("nan")
+        self.written = 0
+        self.stood_still = False  # the server, while something was written
+        self._pacat = subprocess.Popen(
+            self.server.pacat_command(_LATENCY_MS, "--verbose"),
+            stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=self.server.environment,
+        )  # fmt: skip
+        assert self._pacat.stdin is not None
+        fcntl.fcntl(self._pacat.stdin, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        self._reader = Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _play_silence(self, n_samples: int) -> None:
         self.play(np.zeros((n_samples, self.channels), np.float32))
