@@ -1,13 +1,8 @@
 """Whether the array has moved since it was calibrated, and which microphones.
 
 The session under test places the microphones anew, on its own, with the whole joint problem (board, buzzers, squares,
-intrinsics and speed of sound all as uncertain as ever). The difference to the calibration,
-
-    d = x_now - x_then,    cov(d) = C_now + C_then,
-
-is zero but for errors where nothing moved. Each way of moving is a few columns of unknowns: a microphone on its own
-(three), or the array as one body against the camera (six). They are taken in one by one, each time the one that
-explains most for the unknowns it takes, as long as it explains more than chance would in one of a hundred checks.
+intrinsics and speed of sound all as uncertain as ever). The two results are then compared as `rig-calibrate --compare`
+does: what differs by more than both uncertainties is explained by as few motions as chance allows.
 """
 
 from __future__ import annotations
@@ -16,22 +11,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from calib.camera import View
+from calib.comparison import Comparison, Fit, compare
 from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.errors import NotConvergedError, NotEnoughDataError
 from calib.joint.assemble import assemble
 from calib.joint.robust import solve_robustly
 from calib.joint.uncertainty import shared_covariance
-from calib.joint.unknowns import cross_matrices
+from calib.result_file import ArrayResult
 from calib.verification.stored import ArrayCalibration
 from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]
 
-FALSE_ALARMS = 0.01  # of checks of an array that has not moved
 MAX_STD_M = 0.01  # of a microphone against the others: a session that knows less cannot tell
 WHOLE_ARRAY = -1
 
@@ -122,20 +116,25 @@ def check_movement(
         now_m, covariance = _placed_anew(calibration, description, view, corners, tdoas)
     except (NotEnoughDataError, NotConvergedError):
         return MovementCheck([], float("nan"), "too few or too similar poses to place the microphones anew")
-    difference_m = (now_m - calibration.positions_m).ravel()
-    return explain(difference_m, covariance + calibration.covariance_m2, calibration)
-
-
-def explain(difference_m: FloatArray, covariance_m2: FloatArray, calibration: ArrayCalibration) -> MovementCheck:
-    """Find what moved from the differences (3 n_mics,) and their covariance."""
-    roots = np.linalg.inv(np.linalg.cholesky(covariance_m2))  # after it all errors are alike and independent
-    ways = {name: roots @ columns for name, columns in _ways(calibration).items()}
-    resolution_m = _resolution_m(ways)
+    then = ArrayResult("then", calibration.channels, calibration.positions_m, calibration.covariance_m2, frozenset())
+    now = ArrayResult("now", calibration.channels, now_m, covariance, frozenset())
+    resolution_m = _resolution_m(then.covariance_m2 + now.covariance_m2)
     if resolution_m > 3 * MAX_STD_M:
         return MovementCheck([], float("nan"), f"it would miss a microphone that moved by {1e3 * resolution_m:.0f} mm")
-    difference = roots @ difference_m
-    motions = _motions(_chosen(difference, ways), difference, ways, calibration)
-    return MovementCheck(motions, resolution_m)
+    return MovementCheck(motions_of(compare(then, now)), resolution_m)
+
+
+def motions_of(comparison: Comparison) -> list[Motion]:
+    """Return what explains how two results of one array differ, the farthest motion first."""
+    best, channels = comparison.best, comparison.first.channels
+    motions = [_own_motion(best, row, channels[row]) for row in best.moved]
+    if best.motion is not None and best.motion_covariance is not None:
+        arms_m = comparison.first.positions_m - comparison.first.positions_m.mean(axis=0)
+        farthest_m = float(np.linalg.norm(best.motion.apply(arms_m) - arms_m, axis=1).max())
+        shift_covariance = best.motion_covariance[3:, 3:]
+        whole = Motion(WHOLE_ARRAY, best.motion.translation_m, shift_covariance, best.angle_deg, farthest_m)
+        motions.append(whole)
+    return sorted(motions, key=lambda motion: -motion.farthest_m)
 
 
 def _placed_anew(
@@ -155,78 +154,17 @@ def _placed_anew(
     return solution.at.microphones_m, covariance[:size, :size]
 
 
-def _ways(calibration: ArrayCalibration) -> dict[int, FloatArray]:
-    """Return the columns (3 n_mics, k) of every way to move, by the microphone's row or WHOLE_ARRAY."""
-    n_mics = len(calibration.channels)
-    eye = np.eye(3 * n_mics)
-    ways = {row: eye[:, 3 * row : 3 * row + 3] for row in range(n_mics)}
-    arms_m = calibration.positions_m - calibration.positions_m.mean(axis=0)
-    turned = -cross_matrices(arms_m).reshape(-1, 3)
-    ways[WHOLE_ARRAY] = np.hstack([np.tile(np.eye(3), (n_mics, 1)), turned])
-    return ways
+def _own_motion(best: Fit, row: int, channel: int) -> Motion:
+    """Return how a microphone moved by itself, with the errors that it shares with the still ones taken out."""
+    shift_m = best.own_shift_m(row)
+    still = np.setdiff1d(np.arange(len(best.shifts_m)), best.moved)
+    places = np.concatenate([np.arange(3 * mic, 3 * mic + 3) for mic in (*still, row)])
+    information = np.linalg.inv(best.shift_covariance_m2[np.ix_(places, places)])
+    return Motion(channel, shift_m, np.linalg.inv(information[-3:, -3:]), 0.0, float(np.linalg.norm(shift_m)))
 
 
-def _chosen(difference: FloatArray, ways: dict[int, FloatArray]) -> list[int]:
-    """Take in ways to move as long as one explains more than chance, then let off what the others explain as well."""
-    chosen: list[int] = []
-    limit = FALSE_ALARMS / len(ways)
-    while len(chosen) < len(ways) - 3:
-        left = {name: _surprise(difference, ways, chosen, name) for name in ways if name not in chosen}
-        best = min(left, key=left.__getitem__)
-        if left[best] > np.log(limit):
-            break
-        chosen.append(best)
-    for name in list(chosen):
-        others = [other for other in chosen if other != name]
-        if others and _surprise(difference, ways, others, name) > np.log(limit):
-            chosen = others
-    return chosen
-
-
-def _surprise(difference: FloatArray, ways: dict[int, FloatArray], known: list[int], name: int) -> float:
-    """Return the logarithm of the chance that a way to move explains as much as it does where it did not happen."""
-    gain = _misfit(difference, ways, known) - _misfit(difference, ways, [*known, name])
-    return float(chi2.logsf(max(gain, 0.0), ways[name].shape[1]))
-
-
-def _misfit(difference: FloatArray, ways: dict[int, FloatArray], names: list[int]) -> float:
-    if not names:
-        return float(difference @ difference)
-    columns = np.hstack([ways[name] for name in names])
-    rest = difference - columns @ np.linalg.lstsq(columns, difference, rcond=None)[0]
-    return float(rest @ rest)
-
-
-def _estimates(
-    chosen: list[int], difference: FloatArray, ways: dict[int, FloatArray]
-) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Return how far each chosen way went and the covariance of that, all estimated together."""
-    columns = np.hstack([ways[name] for name in chosen])
-    covariance = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=float)
-    values = covariance @ columns.T @ difference
-    out, begin = {}, 0
-    for name in chosen:
-        place = slice(begin, begin + ways[name].shape[1])
-        out[name], begin = (values[place], covariance[place, place]), place.stop
-    return out
-
-
-def _motions(
-    chosen: list[int], difference: FloatArray, whitened: dict[int, FloatArray], calibration: ArrayCalibration
-) -> list[Motion]:
-    """Put what was chosen into words of motion, the farthest first."""
-    if not chosen:
-        return []
-    motions, plain = [], _ways(calibration)
-    for name, (values, covariance) in _estimates(chosen, difference, whitened).items():
-        turn_deg = float(np.degrees(np.linalg.norm(values[3:])))
-        channel = WHOLE_ARRAY if name == WHOLE_ARRAY else calibration.channels[name]
-        farthest_m = float(np.linalg.norm((plain[name] @ values).reshape(-1, 3), axis=1).max())
-        motions.append(Motion(channel, values[:3], covariance[:3, :3], turn_deg, farthest_m))
-    return sorted(motions, key=lambda motion: -motion.farthest_m)
-
-
-def _resolution_m(ways: dict[int, FloatArray]) -> float:
+def _resolution_m(covariance_m2: FloatArray) -> float:
     """Return three standard deviations of the worst microphone in its worst direction, were it alone to move."""
-    worst = [np.linalg.eigvalsh(np.linalg.inv(columns.T @ columns))[-1] for name, columns in ways.items() if name >= 0]
-    return float(3 * np.sqrt(max(worst)))
+    information = np.linalg.inv(covariance_m2)
+    blocks = [information[start : start + 3, start : start + 3] for start in range(0, len(information), 3)]
+    return float(3 / np.sqrt(min(np.linalg.eigvalsh(block)[0] for block in blocks)))
