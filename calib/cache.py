@@ -20,7 +20,7 @@ from calib.flaws import Flaw, Flaws
 from calib.sound import SoundArrivals, TdoaMode
 from rigs import __version__
 
-VERSION = 1  # changes whenever arrivals come out differently
+VERSION = 3  # changes whenever arrivals come out differently
 SUFFIX = ".arrivals.npz"
 
 
@@ -49,8 +49,9 @@ class ArrivalCache:
                 channels = tuple(int(channel) for channel in file["channels"])
                 flaws = Flaws((len(rows), arrival_s.shape[1]), table)
                 return SoundArrivals(
-                    str(file["mode"]), rows, channels, arrival_s, file["std_s"], flaws, file["quality"]
-                )
+                    str(file["mode"]), rows, channels, arrival_s, file["std_s"], flaws, file["quality"],
+                    *((file["onset_s"], file["onset_std_s"]) if "onset_s" in file else ()),
+                )  # fmt: skip
         except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile):
             return None
 
@@ -69,6 +70,9 @@ class ArrivalCache:
                 Path(temporary).unlink(missing_ok=True)
 
     def _write(self, file: object, sound: SoundArrivals, mode: TdoaMode) -> None:
+        onsets = {}
+        if sound.onset_s is not None and sound.onset_std_s is not None:
+            onsets = {"onset_s": sound.onset_s, "onset_std_s": sound.onset_std_s}
         masks = np.array(list(sound.flaws.table.values()), dtype=bool).reshape(-1, *sound.flaws.shape)
         np.savez_compressed(
             file,  # type: ignore[arg-type]
@@ -81,6 +85,7 @@ class ArrivalCache:
             quality=sound.quality,
             flaws=np.array([str(flaw) for flaw in sound.flaws.table], dtype="U40"),
             masks=masks,
+            **onsets,  # type: ignore[arg-type]
         )
 
     def _key(self, mode: TdoaMode) -> str:

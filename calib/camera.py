@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -57,7 +59,8 @@ def look(camera: Camera, board: Board, corners: PoseCorners) -> View:
     if not good.any():
         raise NotEnoughDataError("no board pose fits the corners: check camera.intrinsics and board.corners")
     found = [pose for pose in poses if pose is not None]
-    rms_px = _reprojection_rms_px(corners.corners_px[good], found, board, intrinsics)
+    residuals_px = corner_residuals_px(corners.corners_px[good], found, board, intrinsics)
+    rms_px = float(np.sqrt(np.nanmean(np.sum(residuals_px**2, axis=2))))
     return View(intrinsics, source, corners.pose[good], found, rms_px)
 
 
@@ -71,9 +74,10 @@ def estimate_intrinsics(corners_px: FloatArray, board: Board, size_px: tuple[int
     pixels = [view_px[view].astype(np.float32) for view_px, view in zip(corners_px, seen, strict=True)]
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
     # k3 costs more in noise than it explains for any lens short of a fisheye
-    _, matrix, distortion, _, _ = cv2.calibrateCamera(
-        points, pixels, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3, criteria=criteria
-    )
+    with _one_thread():
+        _, matrix, distortion, _, _ = cv2.calibrateCamera(
+            points, pixels, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3, criteria=criteria
+        )
     k1, k2, p1, p2 = (float(value) for value in np.ravel(distortion)[:4])
     return Intrinsics(
         focal_px=(float(matrix[0, 0]), float(matrix[1, 1])),
@@ -82,7 +86,18 @@ def estimate_intrinsics(corners_px: FloatArray, board: Board, size_px: tuple[int
     )
 
 
-def _reprojection_rms_px(corners_px: FloatArray, poses: list[Pose], board: Board, intrinsics: Intrinsics) -> float:
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let OpenCV sum in one order: with several threads the last digits differ from run to run."""
+    n_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(n_threads)
+
+
+def corner_residuals_px(corners_px: FloatArray, poses: list[Pose], board: Board, intrinsics: Intrinsics) -> FloatArray:
+    """Return corners seen minus corners projected (n_poses, n_corners, 2), NaN where not seen."""
     points_m = board_corners_m(board)
-    projected = np.array([project(points_m, pose, intrinsics) for pose in poses])
-    return float(np.sqrt(np.nanmean(np.sum((corners_px - projected) ** 2, axis=2))))
+    return np.asarray(corners_px - np.array([project(points_m, pose, intrinsics) for pose in poses]))

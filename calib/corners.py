@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ ABSURD_PX = 1e5
 _FRAMES_PER_POSE = 4  # the search for corners is most of the work, and their errors are mostly the same in each frame
 
 
+SeenPoses = dict[int, "FloatArray | str"]  # corners (n_corners, 2) of a pose, or why it is left out
+
+
 @dataclass(frozen=True)
 class PoseCorners:
     """Corners of the poses at which the board was found standing still.
@@ -31,21 +35,32 @@ class PoseCorners:
         The session's numbers of these poses.
     corners_px : (n_poses, n_corners, 2) array
         Mean over frames of the pose; NaN for hidden corners.
-    warnings : list of str
-        Which poses were left out, and why.
+    left_out : dict of int to str
+        Other poses, and why they are not among these.
     """
 
     pose: NDArray[np.int32]
     corners_px: FloatArray
-    warnings: list[str] = field(default_factory=list)
+    left_out: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Which poses were left out, and why, in words."""
+        return [f"pose {pose} left out: {why}" for pose, why in self.left_out.items()]
 
     def only(self, chosen: NDArray[np.bool_]) -> PoseCorners:
         """Return some of the poses (n_poses,)."""
         return PoseCorners(self.pose[chosen], self.corners_px[chosen])
 
 
-def find_pose_corners(session: Session) -> PoseCorners:
+def find_pose_corners(session: Session, seen: SeenPoses | None = None) -> PoseCorners:
     """Find the corners of every accepted pose, or take those that the session begins with.
+
+    Parameters
+    ----------
+    session : Session
+    seen : SeenPoses or None
+        Poses that were looked at before, and need not be again; the new ones are added.
 
     Raises
     ------
@@ -62,7 +77,7 @@ def find_pose_corners(session: Session) -> PoseCorners:
         )
     measured = session.corners_px
     if measured is None:
-        found = _seen_corners(session, accepted)
+        found = _seen_corners(session, accepted, {} if seen is None else seen)
     else:
         rows = session.poses["accepted"] == 1
         found = PoseCorners(session.poses["pose"][rows], measured[rows])
@@ -79,34 +94,43 @@ def _with_enough_corners(found: PoseCorners) -> PoseCorners:
     sane = (np.abs(found.corners_px) < ABSURD_PX).all(axis=2, keepdims=True)  # NaN is not less
     found = replace(found, corners_px=np.where(sane, found.corners_px, np.nan))
     n_corners = sane.sum(axis=(1, 2))
-    warnings = [
-        f"pose {pose} left out: only {n} corners of the board were seen"
+    poor = {
+        int(pose): f"only {n} corners of the board were seen"
         for pose, n in zip(found.pose, n_corners, strict=True)
         if n < MIN_CORNERS
-    ]
-    return replace(found.only(n_corners >= MIN_CORNERS), warnings=[*found.warnings, *warnings])
+    }
+    return replace(found.only(n_corners >= MIN_CORNERS), left_out=found.left_out | poor)
 
 
-def _seen_corners(session: Session, accepted: list[int]) -> PoseCorners:
+def _seen_corners(session: Session, accepted: list[int], seen: SeenPoses) -> PoseCorners:
+    seen |= _look_at(session, [pose for pose in accepted if pose not in seen])
+    board = session.description.board
+    found = {pose: view for pose in accepted if not isinstance(view := seen[pose], str)}
+    left_out = {pose: why for pose in accepted if isinstance(why := seen[pose], str)}
+    corners_px = np.array(list(found.values())).reshape(-1, board.corners[0] * board.corners[1], 2)
+    return PoseCorners(np.array(list(found), dtype=np.int32), corners_px, left_out)
+
+
+def _look_at(session: Session, poses: list[int]) -> SeenPoses:
+    """Find the board in the pictures of some poses."""
     board, still_px = session.description.board, session.description.capture.still_px
-    frames = np.concatenate([_spread(np.flatnonzero(session.frames["pose"] == pose)) for pose in accepted])
+    frames = {pose: _spread(np.flatnonzero(session.frames["pose"] == pose)).tolist() for pose in poses}
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV lets go of the interpreter lock
-        seen = list(pool.map(lambda frame: find_corners(session.picture(frame), board), frames.tolist()))
-    poses, corners, warnings = [], [], []
-    for pose in accepted:
-        views = [view for frame, view in zip(frames, seen, strict=True) if session.frames["pose"][frame] == pose
-                 and view is not None]  # fmt: skip
-        if not views:
-            warnings.append(f"pose {pose} left out: the board was not found in its pictures")
-            continue
-        moved_px = max(movement_px(view, views[0]) for view in views)
-        if moved_px > still_px:
-            warnings.append(f"pose {pose} left out: the board moved by {moved_px:.2f} px between its pictures")
-            continue
-        poses.append(pose)
-        corners.append(_mean_of_seen(np.array(views)))
-    shape = (-1, board.corners[0] * board.corners[1], 2)
-    return PoseCorners(np.array(poses, dtype=np.int32), np.array(corners).reshape(shape), warnings)
+        views = pool.map(lambda frame: find_corners(session.picture(frame), board), chain(*frames.values()))
+        return {
+            pose: _agreed([view for view in islice(views, len(of_pose)) if view is not None], still_px)
+            for pose, of_pose in frames.items()
+        }
+
+
+def _agreed(views: list[FloatArray], still_px: float) -> FloatArray | str:
+    """Return the mean corners of a pose, or what is wrong with it."""
+    if not views:
+        return "the board was not found in its pictures"
+    moved_px = max(movement_px(view, views[0]) for view in views)
+    if moved_px > still_px:
+        return f"the board moved by {moved_px:.2f} px between its pictures"
+    return _mean_of_seen(np.array(views))
 
 
 def _spread(frames: NDArray[np.intp]) -> NDArray[np.intp]:

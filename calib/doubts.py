@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.fit import FittedTdoas, robust_sigma
+from calib.joint.uncertainty import microphone_covariances
 from rigs.description import Medium, RigDescription
 from rigs.session.reader import Session
 
@@ -70,8 +71,8 @@ def fit_doubts(description: RigDescription, fitted: FittedTdoas) -> list[str]:
 
 
 def spread_doubts(covariance_m2: FloatArray, channels: tuple[int, ...]) -> list[str]:
-    """Say which microphone is too uncertain, from the covariances (n_mics, 3, 3)."""
-    std_m = np.sqrt(np.linalg.eigvalsh(covariance_m2)[:, -1])
+    """Say which microphone is too uncertain, from the covariance (3 n_mics, 3 n_mics) of all."""
+    std_m = np.sqrt(np.linalg.eigvalsh(microphone_covariances(covariance_m2, len(channels)))[:, -1])
     worst = int(np.argmax(std_m))
     if std_m[worst] <= LARGE_STD_M:
         return []
@@ -93,7 +94,8 @@ def _culprit(fitted: FittedTdoas, rejected: NDArray[np.bool_]) -> str:
             int(label): n_rejected[labels == label].sum() / max(n_present[labels == label].sum(), 1)
             for label in np.unique(labels)
         }
-        bad = [str(label) for label, share in shares.items() if share > CULPRIT_SHARE]
+        names = fitted.pose_names if kind == "pose" else {}
+        bad = [names.get(label, str(label)) for label, share in shares.items() if share > CULPRIT_SHARE]
         if bad and len(bad) < len(shares):
             where = "board.buzzers in the rig description" if kind == "buzzer" else "what happened there"
             return f", most of those of {kind} {' and '.join(bad[:4])}: check {where}"

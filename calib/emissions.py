@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.cache import ArrivalCache
 from calib.errors import NotEnoughDataError
 from calib.flaws import HARMLESS, OF_CHANNELS, Flaw
-from calib.sound import SoundArrivals, TdoaMode, find_arrivals
+from calib.sound import Ear, SoundArrivals, TdoaMode, find_arrivals
 from rigs.session.reader import Session
 
 FloatArray = NDArray[np.float64]
@@ -37,6 +37,12 @@ class EmissionTdoas:
     warnings : list of str
     sound : SoundArrivals or None
         What they were measured from; None where the session begins with them.
+    session : (n_emissions,) integer array or None
+        Which of several sessions each is of; None: there is one only.
+    pose_names : dict of int to str
+        What poses are called where not by their number.
+    rows : (n_emissions,) integer array or None
+        Of the session's table.
     """
 
     pose: NDArray[np.int32]
@@ -45,6 +51,18 @@ class EmissionTdoas:
     pairs: NDArray[np.int32]
     warnings: list[str] = field(default_factory=list)
     sound: SoundArrivals | None = None
+    session: RowArray | None = None
+    pose_names: dict[int, str] = field(default_factory=dict)
+    rows: RowArray | None = None
+
+    def pose_name(self, row: int) -> int | str:
+        """Return what the pose of an emission is called."""
+        pose = int(self.pose[row])
+        return self.pose_names.get(pose, pose)
+
+    def number(self, row: int) -> int | None:
+        """Return the number of an emission in its session's table, where it is known."""
+        return None if self.rows is None else int(self.rows[row])
 
 
 def accepted_rows(session: Session) -> RowArray:
@@ -62,8 +80,19 @@ def accepted_rows(session: Session) -> RowArray:
     return rows
 
 
-def measure_tdoas(session: Session, mode: TdoaMode = "auto", cache: ArrivalCache | None = None) -> EmissionTdoas:
+def measure_tdoas(
+    session: Session, mode: TdoaMode = "auto", cache: ArrivalCache | None = None, ear: Ear | None = None
+) -> EmissionTdoas:
     """Measure the TDOAs of all accepted emissions of accepted poses, or take the arrivals of an earlier run.
+
+    Parameters
+    ----------
+    session : Session
+    mode : {"auto", "matched", "gcc-phat"}
+    cache : ArrivalCache or None
+        Where the arrivals of an earlier run may be, and are left for the next.
+    ear : Ear or None
+        What remembers the emissions that were heard before.
 
     Raises
     ------
@@ -76,10 +105,10 @@ def measure_tdoas(session: Session, mode: TdoaMode = "auto", cache: ArrivalCache
     if measured is not None:
         tdoa_s = measured.tdoa_s[rows]
         tdoa_s = np.where(np.abs(tdoa_s) < ABSURD_TDOA_S, tdoa_s, np.nan)
-        return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs)
+        return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, measured.pairs, rows=rows)
     sound = cache.load(rows, mode) if cache else None
     if sound is None:
-        sound = find_arrivals(session, rows, mode)
+        sound = ear.hear(session, rows) if ear else find_arrivals(session, rows, mode)
         if cache:
             cache.save(sound, mode)
     return tdoas_of(session, rows, sound)
@@ -102,7 +131,7 @@ def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> Emission
     tdoa_s = sound.arrival_s[:, columns[:, 1]] - sound.arrival_s[:, columns[:, 0]]
     limit_s = session.description.calibration.max_tdoa_s
     beyond = np.abs(tdoa_s) > limit_s
-    warnings = _channel_warnings(sound) + _emission_warnings(sound)
+    warnings = [*_channel_warnings(sound), *_sync_warnings(session, sound), *_emission_warnings(sound)]
     if beyond.mean() > NOTABLE_SHARE:
         warnings.append(
             f"{beyond.mean():.0%} of the TDOAs lie beyond calibration.max_tdoa_s, {limit_s:g} s: raise it in the rig "
@@ -110,7 +139,7 @@ def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> Emission
         )
     emissions, pairs = session.emissions[rows], np.array(sound.channels, dtype=np.int32)[columns]
     tdoa_s = np.where(beyond, np.nan, tdoa_s)
-    return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, pairs, warnings, sound)
+    return EmissionTdoas(emissions["pose"], emissions["buzzer"], tdoa_s, pairs, warnings, sound, rows=rows)
 
 
 def _channel_warnings(sound: SoundArrivals) -> list[str]:
@@ -135,6 +164,14 @@ def _channel_warnings(sound: SoundArrivals) -> list[str]:
         if share > NOTABLE_SHARE
     ]
     return warnings
+
+
+def _sync_warnings(session: Session, sound: SoundArrivals) -> list[str]:
+    """Say when the channel of the sync output does not carry it."""
+    if sound.onset_s is None or np.isfinite(sound.onset_s).mean() > 1 - OFTEN:
+        return []
+    share, channel = np.isfinite(sound.onset_s).mean(), session.description.audio.sync_channel
+    return [f"channel {channel} has the board's sync output in {share:.0%} of the emissions only: check its wire"]
 
 
 def _emission_warnings(sound: SoundArrivals) -> list[str]:

@@ -13,6 +13,12 @@ class MethodError(CalibrationError):
     exit_code = 2
 
 
+class ResultFileError(CalibrationError):
+    """A file that should be a result is none, or is of another version."""
+
+    exit_code = 2
+
+
 class NotEnoughDataError(CalibrationError):
     """The session does not hold enough good measurements for an answer."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ class FittedTdoas:
         Which the answer rests on.
     speed_m_s : float
         Speed of sound of the answer.
+    pose_names : dict of int to str
+        What poses are called where not by their number.
     """
 
     pose: NDArray[np.int32]
@@ -35,6 +37,7 @@ class FittedTdoas:
     residuals_s: FloatArray
     used: NDArray[np.bool_]
     speed_m_s: float
+    pose_names: dict[int, str] = field(default_factory=dict)
 
     @property
     def present(self) -> NDArray[np.bool_]:

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.evidence import Evidence
+from calib.joint.next_pose import Suggestion
+from calib.joint.observability import Weakest
+from calib.joint.uncertainty import microphone_covariances
+from calib.rejections import KINDS, Rejection
 from rigs import __version__
 from rigs.errors import TargetExistsError
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
@@ -55,6 +60,35 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """What tools that read the session beside the result need to know of it.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+    channels : tuple of int
+        Input channel of each column of `time_data`.
+    picture_size_px : (int, int)
+        Width and height.
+    """
+
+    sample_rate_hz: float
+    channels: tuple[int, ...]
+    picture_size_px: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class SessionShare:
+    """One of several sessions that a result rests on; each has a speed of sound of its own."""
+
+    name: str
+    sha256: str
+    n_poses: int
+    speed_of_sound_m_s: float
+    speed_of_sound_std_m_s: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Microphones in the camera frame.
 
@@ -67,11 +101,14 @@ class Calibration:
         Input channel of each microphone.
     positions_m : (n_mics, 3) array
         Camera frame.
-    covariance_m2 : (n_mics, 3, 3) array
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array
+        Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
         Where the method holds the speed, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
+    recording : Recording
+        How the session was recorded, of several the first.
     residual : Residual
     evaluation : Evaluation or None
     warnings : list of str
@@ -79,8 +116,16 @@ class Calibration:
         What was heard and what was wrong with it, in plain values; None where TDOAs were not measured in sound.
     held_out : HeldOut or None
         None for the paper's methods.
-    suggestions : tuple of str
+    suggestions : tuple of Suggestion
         Further board positions that would help most, the best first.
+    evidence : Evidence or None
+        Residuals of all measurements, for the report; the YAML file leaves them out.
+    weakest : Weakest or None
+        How the array is known worst; None for the paper's methods.
+    rejections : tuple of Rejection
+        What the result does not rest on, and why.
+    sessions : tuple of SessionShare
+        Where it was made from several; the speed of sound is then their mean.
     """
 
     session_name: str
@@ -88,16 +133,31 @@ class Calibration:
     method: str
     channels: tuple[int, ...]
     positions_m: FloatArray
-    covariance_m2: FloatArray
+    array_covariance_m2: FloatArray
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View
+    recording: Recording
     residual: Residual
     evaluation: Evaluation | None
     warnings: list[str]
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
-    suggestions: tuple[str, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
+    weakest: Weakest | None = None
+    rejections: tuple[Rejection, ...] = ()
+    sessions: tuple[SessionShare, ...] = ()
+    evidence: Evidence | None = None
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance (n_mics, 3, 3) of each microphone."""
+        return microphone_covariances(self.array_covariance_m2, len(self.channels))
+
+    @property
+    def worst_std_m(self) -> FloatArray:
+        """Standard deviation (n_mics,) of each microphone in its weakest direction."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariance_m2)[:, -1]))
 
     @property
     def std_m(self) -> FloatArray:
@@ -141,17 +201,36 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "corner_rms_px": _rounded(result.view.rms_px, 4),
             "n_poses": len(result.view.board_to_camera),
         },
+        "recording": {
+            "sample_rate_hz": float(result.recording.sample_rate_hz),
+            "channels": list(result.recording.channels),
+            "picture_size_px": list(result.recording.picture_size_px),
+        },
         "warnings": list(result.warnings),
-        "session": {"name": result.session_name, "sha256": result.session_sha256},
     }
+    if result.sessions:
+        document["sessions"] = [
+            asdict(share) | {name: _rounded(getattr(share, name), 4) for name in asdict(share) if "speed" in name}
+            for share in result.sessions
+        ]
+    else:
+        document["session"] = {"name": result.session_name, "sha256": result.session_sha256}
     if result.held_out is not None:
         document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
+    if result.weakest is not None:
+        document["weakest"] = asdict(result.weakest) | {"std_m": _rounded(result.weakest.std_m, 7)}
     if result.suggestions:
-        document["suggested_poses"] = list(result.suggestions)
+        document["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
     if result.sound is not None:
         document["sound"] = result.sound
+    if result.rejections:
+        document["rejected"] = {
+            f"{kind}s": [rejection.document() for rejection in result.rejections if rejection.kind == kind]
+            for kind in KINDS
+        }
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
+    document["array_covariance_m2"] = [[float(f"{value:.9g}") for value in row] for row in result.array_covariance_m2]
     return document
 
 

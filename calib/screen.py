@@ -12,9 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from calib.evaluation import Evaluation
+from calib.rejections import KINDS, Rejection
 from calib.result import Calibration
 
 NARROWEST = 76
+WORST = 4  # of what was left out, told by name
 
 
 def show(result: Calibration, path: Path, console: Console) -> None:
@@ -29,8 +31,8 @@ def show(result: Calibration, path: Path, console: Console) -> None:
     for warning in result.warnings:
         console.print(_warning(warning))
     for number, suggestion in enumerate(result.suggestions, start=1):
-        console.print(f"next pose {number}: {escape(suggestion)}")
-    console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
+        console.print(f"next pose {number}: {escape(suggestion.sentence())}")
+    console.print(f"Written: {escape(str(path))}", soft_wrap=True, highlight=False)
 
 
 def _microphone_table(result: Calibration) -> Table:
@@ -54,6 +56,10 @@ def _microphone_table(result: Calibration) -> Table:
 
 def _fit_table(result: Calibration) -> Table:
     residual, view = result.residual, result.view
+    shares = [
+        (share.name, f"{share.n_poses} poses, {share.speed_of_sound_m_s:.2f} m/s +- {share.speed_of_sound_std_m_s:.2f}")
+        for share in result.sessions
+    ]
     speed = f"{result.speed_of_sound_m_s:.2f} m/s"
     held = result.method != "joint"
     speed += (
@@ -77,11 +83,24 @@ def _fit_table(result: Calibration) -> Table:
             ),
             *held_out,
             ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected"),
-            ("speed of sound", speed),
+            *_left_out(result.rejections),
+            *(shares or [("speed of sound", speed)]),
             ("camera", f"focal length {focal} px, from the {view.source}"),
             ("board", f"{len(view.board_to_camera)} poses, corners fit to {view.rms_px:.3f} px rms"),
         ]
     )
+
+
+def _left_out(rejections: tuple[Rejection, ...]) -> list[tuple[str, str]]:
+    """Return how many of each kind were left out, and the worst few."""
+    if not rejections:
+        return []
+    counts = [(kind, sum(rejection.kind == kind for rejection in rejections)) for kind in KINDS]
+    counted = ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in counts if n)
+    worst = sorted(rejections, key=lambda rejection: (KINDS.index(rejection.kind), -rejection.sigmas))[:WORST]
+    more = len(rejections) - len(worst)
+    lines = [counted, *(rejection.sentence() for rejection in worst), *([f"{more} more in the file"] if more else [])]
+    return [("left out", escape("\n".join(lines)))]
 
 
 def _evaluation_table(evaluation: Evaluation) -> Table:

@@ -26,9 +26,12 @@ class Settings:
     tdoa : {"auto", "matched", "gcc-phat"}
         How arrivals are measured in the sound.
     hold : tuple of str
-        Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "intrinsics", "poses".
+        Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "corners", "intrinsics",
+        "poses".
     find_delays : bool
         Joint finds a delay of each channel.
+    ignore_sync : bool
+        Joint leaves open when emissions began, even where the board's sync output was recorded.
     suggest_poses : int
         How many further board positions joint suggests.
     """
@@ -41,3 +44,4 @@ class Settings:
     hold: tuple[str, ...] = ()
     find_delays: bool = False
     suggest_poses: int = 0
+    ignore_sync: bool = False

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 RowArray = NDArray[np.intp]
 
 FLIGHT_S = 0.03  # sound takes that long over 10 m
-MOST_SAMPLES_AT_ONCE = 2_000_000  # of all channels together
+MOST_SAMPLES_AT_ONCE = 400_000  # of all channels together: what a processor's cache holds
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,10 @@ class EmissionWindows:
         Row of the session's audio where each should begin.
     duration_s : float
         Of what was played.
+    tolerance_s : float
+        How far from there it may begin.
+    columns : tuple of int or None
+        Of the session's audio; None: the microphones.
 
     Attributes
     ----------
@@ -71,10 +75,15 @@ class EmissionWindows:
     """
 
     def __init__(
-        self, session: Session, expected_samples: NDArray[np.integer], duration_s: float, tolerance_s: float
+        self,
+        session: Session,
+        expected_samples: NDArray[np.integer],
+        duration_s: float,
+        tolerance_s: float,
+        columns: tuple[int, ...] | None = None,
     ) -> None:
         self._session = session
-        self._columns = list(session.microphone_columns)
+        self._columns = list(session.microphone_columns if columns is None else columns)
         self.sample_rate_hz = session.sample_rate_hz
         n_before = round((FLIGHT_S + tolerance_s) * self.sample_rate_hz)
         self.n_quiet = round(FLIGHT_S * self.sample_rate_hz)
@@ -112,7 +121,7 @@ class EmissionWindows:
             if begin < end:
                 window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T[self._columns]
         with np.errstate(invalid="ignore", over="ignore"):
-            not_numbers = ~np.isfinite(samples.sum(axis=2, dtype=float))  # one such sample spoils the sum
+            not_numbers = ~np.isfinite(samples.sum(axis=2))  # one such sample spoils the sum
         if not_numbers.any():
             samples[~np.isfinite(samples)] = 0.0
         return Sound(rows, samples, not_numbers)

@@ -177,12 +177,18 @@ class Board(Section):
     )
     square_size_m: Length = Field(description="side of a square in metres, measured on the printed board")
     square_size_std_m: float = Field(
-        0.00002, ge=0, le=0.01, description="how well it is known: standard deviation (measure over many squares)"
+        0.0002, ge=0, le=0.01, description="how well it is known: standard deviation (measure over many squares)"
+    )
+    print_std_m: float = Field(
+        0.0001, ge=0, le=0.01, description="how true the print is: standard deviation of a corner along the board"
+    )
+    flatness_std_m: float = Field(
+        0.001, ge=0, le=0.05, description="how flat the board is: standard deviation of a corner across the board"
     )
     charuco: Charuco | None = None
     buzzers: tuple[Buzzer, ...] = Field(min_length=1, max_length=255)
     buzzer_std_m: float = Field(
-        0.0003, ge=0, le=0.05, description="how well the buzzers' places are known: standard deviation per axis"
+        0.003, ge=0, le=0.05, description="how well the buzzers' places are known: standard deviation per axis"
     )
 
     @model_validator(mode="after")
@@ -280,7 +286,7 @@ class Medium(Section):
     """The air: its temperature, or the speed of sound itself, and how well it is known."""
 
     temperature_c: float | None = Field(None, ge=-40, le=60)
-    temperature_std_c: float = Field(1.0, gt=0, le=20)
+    temperature_std_c: float | None = Field(None, gt=0, le=20)
     speed_of_sound_m_s: float | None = Field(None, ge=250, le=450)
     speed_of_sound_std_m_s: float | None = Field(None, gt=0, le=50)
 
@@ -298,10 +304,14 @@ class Medium(Section):
         return 331.3 * math.sqrt(1 + self.temperature_c / 273.15)
 
     def speed_std_m_s(self) -> float:
-        """Return the standard deviation of the speed of sound."""
+        """Return the standard deviation of the speed of sound.
+
+        Where nothing states it: a thermometer is good to 1 degree, and a room without one is within 5 of what is usual.
+        """
         if self.speed_of_sound_std_m_s is not None:
             return self.speed_of_sound_std_m_s
-        return self.temperature_std_c * 0.606  # dc/dT near 20 degrees
+        usual_c = 5.0 if self.temperature_c is None else 1.0
+        return (self.temperature_std_c or usual_c) * 0.606  # dc/dT near 20 degrees
 
 
 class Capture(Section):

@@ -13,7 +13,7 @@ from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.flaws import Flaws
 from calib.joint.arrivals import ArrivalTable
-from calib.joint.assemble import assemble
+from calib.joint.assemble import assemble, corner_std_m, n_corners
 from calib.joint.corners import CornerTable
 from calib.joint.problem import JointProblem, Weights
 from calib.joint.robust import JointSolution, solve_robustly
@@ -94,6 +94,13 @@ class Rig:
         return replace(self, arrival_s=np.where(wrong, self.arrival_s + off_s, self.arrival_s))
 
 
+def bent_rig() -> RigDescription:
+    """Return the simulated rig with a board of paper on cardboard."""
+    description = find_description("simulated").description
+    board = description.board.model_copy(update={"print_std_m": 1e-4, "flatness_std_m": 1e-3})
+    return description.model_copy(update={"board": board})
+
+
 def make_rig(
     seed: int = 0,
     *,
@@ -116,9 +123,12 @@ def make_rig(
         buzzers_m + board.buzzer_std_m * generator.standard_normal(buzzers_m.shape),
         CAMERA,
         poses,
+        n_corners(board),
     )
     shared = truth.shared.copy()
     shared[truth.blocks.scale] += board.square_size_std_m / board.square_size_m * generator.standard_normal()
+    bent = np.random.default_rng([seed, 3]).standard_normal((n_corners(board), 3))
+    shared[truth.blocks.corners] = (corner_std_m(board) * bent).ravel()
     truth = replace(truth, shared=shared)
     corners = CornerTable(board_corners_m(board), np.zeros((len(poses), board.corners[0] * board.corners[1], 2)), 1.0)
     corners_px = -corners.residuals_px(truth)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_rig import make_rig
+from measured_rig import bent_rig, make_rig
 
 from calib.joint.problem import JointProblem, Weights
 from calib.joint.unknowns import Unknowns, rotation_matrices
@@ -17,7 +17,7 @@ N_POSES = 4
 
 @pytest.fixture(scope="module")
 def rig():
-    return make_rig(0, n_poses=N_POSES)
+    return make_rig(0, n_poses=N_POSES, description=bent_rig())
 
 
 @pytest.fixture(scope="module")
@@ -111,11 +111,13 @@ def test_poses_are_eliminated_exactly(problem, displaced, weights):
     np.testing.assert_allclose(np.concatenate([shared, poses.ravel()]) * scale, expected * scale, rtol=1e-6, atol=1e-9)
     scaled = np.linalg.inv(full / np.outer(scale, scale))[:n_shared, :n_shared]
     complement = equations.complement() / np.outer(scale[:n_shared], scale[:n_shared])
-    np.testing.assert_allclose(np.linalg.inv(complement), scaled, rtol=1e-5)
+    std = np.sqrt(np.diag(scaled))
+    correlation = np.linalg.inv(complement) / np.outer(std, std)
+    np.testing.assert_allclose(correlation, scaled / np.outer(std, std), atol=1e-5)
 
 
 def test_what_is_held_has_no_equation(rig):
-    problem, at = rig.assembled(hold=("speed", "buzzers", "scale", "intrinsics", "poses"))
+    problem, at = rig.assembled(hold=("speed", "buzzers", "scale", "corners", "intrinsics", "poses"))
     equations = problem.free_equations(at.placed(rig.truth.microphones_m), problem.stated_weights())
     assert equations.shared.shape == (24, 24)
     assert equations.border.shape[0] == 0
@@ -139,11 +141,9 @@ def test_projection_is_opencvs(rig):
     fx, fy, cx, cy, *distortion = rig.truth.camera
     intrinsics = Intrinsics(focal_px=(fx, fy), principal_px=(cx, cy), distortion=tuple(distortion))
     problem, _ = rig.assembled()
-    unscaled = replace(
-        rig.truth,
-        shared=np.where(np.arange(rig.truth.blocks.size) == rig.truth.blocks.scale.start, 1.0, rig.truth.shared),
-    )
-    ours_px = problem.corners.seen_px - problem.corners.residuals_px(unscaled)
+    perfect = rig.truth.shared.copy()
+    perfect[rig.truth.blocks.scale], perfect[rig.truth.blocks.corners] = 1.0, 0.0
+    ours_px = problem.corners.seen_px - problem.corners.residuals_px(replace(rig.truth, shared=perfect))
     pose = Pose(rig.truth.rotations[2], rig.truth.translations_m[2])
     np.testing.assert_allclose(ours_px[2], project(board_corners_m(rig.description.board), pose, intrinsics), atol=1e-9)
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MICROPHONES_M
-from measured_rig import CHANNELS, Rig, make_rig
+from conftest import MICROPHONES_M, board_poses
+from measured_rig import CHANNELS, Rig, bent_rig, make_rig
 
-from calib.errors import NotEnoughDataError
+from calib.errors import CalibrationError
 from calib.joint.assemble import pair_tdoas
 from calib.joint.heldout import hold_out
 from calib.joint.next_pose import suggest_poses
@@ -15,7 +15,9 @@ from calib.joint.observability import board_tilts_deg, observability_doubts
 from calib.joint.session import answer_jointly
 from calib.joint.uncertainty import microphone_covariances, shared_covariance
 from calib.settings import Settings
+from rigs.description import Intrinsics
 from rigs.geometry import Pose, rotation_matrix
+from rigs.library import find_description
 
 SIZE_PX = (1280, 720)
 
@@ -68,6 +70,12 @@ def test_boards_tilted_one_way_only_are_told():
     assert not any("about one axis" in warning for warning in answered(make_rig(0)).warnings)
 
 
+def test_a_bent_board_is_told():
+    bent = make_rig(0, description=bent_rig())
+    assert any(warning.startswith("the board is bent by") for warning in answered(bent).warnings)
+    assert not any("bent" in warning for warning in answered(make_rig(0)).warnings)
+
+
 def test_a_focal_length_that_does_not_fit_is_told():
     rig = make_rig(0)
     wrong = {"focal_px": (850.0, 848.0), "principal_px": (645.0, 356.0), "distortion": (0.05, -0.08, 0.0, 0.0, 0.0)}
@@ -101,7 +109,7 @@ def test_the_next_pose_helps_as_much_as_is_said():
 def test_suggestions_are_sentences():
     answer = answered(make_rig(0), suggest_poses=2)
     assert len(answer.suggestions) == 2
-    assert all("board centre at x" in suggestion for suggestion in answer.suggestions)
+    assert all("board centre at x" in suggestion.sentence() for suggestion in answer.suggestions)
 
 
 def test_suspects_are_told_in_words():
@@ -113,12 +121,42 @@ def test_suspects_are_told_in_words():
     assert any("was the board printed to scale?" in warning for warning in answered(bigger).warnings)
 
 
-def test_boards_that_all_face_the_camera_are_refused():
-    """Focal length and depth are one: an answer would be confident and wrong."""
-    places = [(x - 0.1, y - 0.06, 0.6) for x in (-0.2, 0.0, 0.2) for y in (-0.1, 0.0, 0.1)]
-    flat = make_rig(0, poses=[Pose(np.eye(3), np.array(place)) for place in places])
-    with pytest.raises(NotEnoughDataError, match="does not place the microphones"):
-        answered(flat)
+GIVEN = Intrinsics(focal_px=(940, 938), principal_px=(645, 356), distortion=(0.05, -0.08, 0.0005, -0.0004, 0))
+
+
+def alike(poses: list[Pose], intrinsics: Intrinsics | str) -> Rig:
+    description = find_description("simulated").description
+    camera = description.camera.model_copy(update={"intrinsics": intrinsics})
+    return make_rig(0, poses=poses, description=description.model_copy(update={"camera": camera}))
+
+
+@pytest.mark.parametrize("intrinsics", ["from session", GIVEN])
+@pytest.mark.parametrize("kind", ["one pose again and again", "all facing the camera"])
+def test_poses_that_are_all_alike_are_refused(kind, intrinsics):
+    """What is assumed of the camera fills the gap: the answer would be only as good as that."""
+    facing = [Pose(np.eye(3), np.array((x - 0.1, y - 0.06, 0.6))) for x in (-0.2, 0.0, 0.2) for y in (-0.1, 0.0, 0.1)]
+    poses = 12 * [board_poses(8, 0)[7]] if kind == "one pose again and again" else facing
+    with pytest.raises(CalibrationError, match=r"capture more.*, tilted") as refused:
+        answered(alike(poses, intrinsics))
+    assert refused.value.exit_code == 5
+
+
+def test_a_camera_that_is_known_exactly_needs_no_tilt():
+    facing = [Pose(np.eye(3), np.array((x - 0.1, y - 0.06, 0.6))) for x in (-0.2, 0.0, 0.2) for y in (-0.1, 0.0, 0.1)]
+    rig = alike(facing, GIVEN)
+    errors_m = answered(rig, hold=("intrinsics",)).microphones_m - rig.truth.microphones_m
+    assert np.sqrt(np.mean(np.sum(errors_m**2, axis=1))) < 0.003
+
+
+def test_what_is_let_go_of_is_known_less():
+    """The covariance is that of the problem that was solved, a suspect's prior gone."""
+    rig = make_rig(0)
+    late = answered(replace(rig, arrival_s=rig.arrival_s + 2e-4 * (np.arange(8) == 4)))
+    on_time = answered(rig)
+    fourth = slice(12, 15)
+    assert np.trace(late.array_covariance_m2[fourth, fourth]) > 1.2 * np.trace(
+        on_time.array_covariance_m2[fourth, fourth]
+    )
 
 
 def test_an_array_in_a_plane_is_found():

@@ -12,7 +12,8 @@ as over all pairs of microphones (arXiv 2502.06196, section III, with the pairs'
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,12 +58,15 @@ class ArrivalTable:
         Each emission on a time axis of its own; NaN where not heard.
     std_s : (n_emissions, n_mics) array
         Standard deviations of the arrivals.
+    session : (n_emissions,) integer array or None
+        Row of the session that each belongs to; None: there is one only.
     """
 
     pose: IndexArray
     buzzer: IndexArray
     arrival_s: FloatArray
     std_s: FloatArray
+    session: IndexArray | None = None
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -83,7 +87,18 @@ class ArrivalTable:
             buzzer=self.buzzer[emissions],
             arrival_s=self.arrival_s[emissions],
             std_s=self.std_s[emissions],
+            session=None if self.session is None else self.session[emissions],
         )
+
+    def speeds_m_s(self, at: Unknowns) -> FloatArray:
+        """Return the speed of sound (n_emissions, 1) of each emission."""
+        session = np.zeros(len(self.pose), dtype=np.intp) if self.session is None else self.session
+        return at.shared[at.blocks.speed][session][:, None]
+
+    def delays_s(self, at: Unknowns) -> FloatArray:
+        """Return the delays (n_emissions, n_mics) of the channels at each emission."""
+        session = np.zeros(len(self.pose), dtype=np.intp) if self.session is None else self.session
+        return at.delays_s.reshape(-1, at.blocks.n_mics)[session]
 
     def flights(self, at: Unknowns) -> Flights:
         """Trace every emission to every microphone."""
@@ -91,7 +106,7 @@ class ArrivalTable:
         rays_m = at.microphones_m - (arms_m + at.translations_m[self.pose])[:, None]
         distances_m = np.sqrt(np.einsum("eni,eni->en", rays_m, rays_m))
         units = rays_m / np.maximum(distances_m, 1e-12)[..., None]
-        return Flights(arms_m, distances_m, units, distances_m / at.speed_m_s + at.delays_s)
+        return Flights(arms_m, distances_m, units, distances_m / self.speeds_m_s(at) + self.delays_s(at))
 
     def offsets_s(self, at: Unknowns) -> FloatArray:
         """Return arrivals minus times of flight (n_emissions, n_mics): when the emission began; NaN where missing."""
@@ -104,14 +119,18 @@ class ArrivalTable:
 
     def normal_equations(self, at: Unknowns, weights: FloatArray) -> NormalEquations:
         """Linearise at some values, with weights (n_emissions, n_mics) in 1/s^2."""
+        if self.session is not None and at.blocks.n_sessions > 1:
+            return self._session_by_session(at, self.session, weights)
         flights = self.flights(at)
         weights = np.where(self.present, weights, 0.0)
         total = np.maximum(weights.sum(axis=1), 1e-300)
         offsets_s = np.where(self.present, self.arrival_s - flights.times_s, 0.0)
         centred_s = offsets_s - ((weights * offsets_s).sum(axis=1) / total)[:, None]
         pull = weights * centred_s
-        own = np.concatenate([flights.units / at.speed_m_s, np.ones_like(flights.distances_m)[..., None]], axis=2)
-        common = self._common_columns(at, flights)
+        own = np.concatenate(
+            [flights.units / self.speeds_m_s(at)[..., None], np.ones_like(flights.distances_m)[..., None]], axis=2
+        )
+        common = self.common_columns(at, flights)
         common -= np.einsum("en,enk->ek", weights / total[:, None], common)[:, None]
         equations = _Assembly(at, self, weights, total)
         equations.add_own(own, pull)
@@ -119,9 +138,20 @@ class ArrivalTable:
         equations.add_common(common, pull)
         return equations.result(0.5 * float(np.sum(pull * centred_s)))
 
-    def _common_columns(self, at: Unknowns, flights: Flights) -> FloatArray:
+    def _session_by_session(self, at: Unknowns, session: IndexArray, weights: FloatArray) -> NormalEquations:
+        """Sum the equations of each session, which know of their own speed of sound and delays only."""
+        parts = []
+        for number in range(at.blocks.n_sessions):
+            own = session == number
+            alone = replace(self.only(own), session=None)
+            equations = alone.normal_equations(at.of_session(number), weights[own])
+            parts.append(equations.spread(at.blocks.of_session(number), at.blocks.size))
+        return reduce(add, parts)
+
+    def common_columns(self, at: Unknowns, flights: Flights) -> FloatArray:
         """Return derivatives (n_emissions, n_mics, 10) of the flights by pose (6), buzzer (3) and speed of sound."""
-        by_source = -flights.units / at.speed_m_s
+        speeds_m_s = self.speeds_m_s(at)[..., None]
+        by_source = -flights.units / speeds_m_s
         source_by = np.concatenate(
             [
                 -cross_matrices(flights.arms_m),
@@ -130,7 +160,7 @@ class ArrivalTable:
             ],
             axis=2,
         )
-        by_speed = -flights.distances_m[..., None] / at.speed_m_s**2
+        by_speed = -flights.distances_m[..., None] / speeds_m_s**2
         return np.concatenate([by_source @ source_by, by_speed], axis=2)
 
 
@@ -207,12 +237,16 @@ class _Assembly:
         self._shared[np.ix_(columns, rows)] += values.T
 
     def _by_pose(self, values: FloatArray) -> FloatArray:
-        """Sum values (n_emissions, ...) over the emissions of each pose."""
-        out = np.zeros((self._n_poses, *values.shape[1:]))
-        starts = np.flatnonzero(np.diff(self._table.pose, prepend=-1))
-        if len(starts):
-            out[self._table.pose[starts]] = np.add.reduceat(values, starts, axis=0)
-        return out
+        return sum_by_pose(values, self._table.pose, self._n_poses)
+
+
+def sum_by_pose(values: FloatArray, pose: IndexArray, n_poses: int) -> FloatArray:
+    """Sum values (n_emissions, ...) over the emissions of each pose; emissions are sorted by pose."""
+    out = np.zeros((n_poses, *values.shape[1:]))
+    starts = np.flatnonzero(np.diff(pose, prepend=-1))
+    if len(starts):
+        out[pose[starts]] = np.add.reduceat(values, starts, axis=0)
+    return out
 
 
 def _centres(offsets_s: FloatArray, weights: FloatArray) -> FloatArray:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,22 +13,25 @@ from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.joint.arrivals import ArrivalTable
 from calib.joint.corners import CornerTable
+from calib.joint.onsets import OnsetTable
 from calib.joint.pairs import arrivals_of_pairs
 from calib.joint.problem import JointProblem, Priors
 from calib.joint.robust import JointSolution
 from calib.joint.unknowns import Blocks, Unknowns
 from rigs.board import board_corners_m
-from rigs.description import Camera, Intrinsics, RigDescription
+from rigs.description import Board, Camera, Intrinsics, Medium, RigDescription
 
 FloatArray = NDArray[np.float64]
 
 CORNER_STD_PX = 0.1  # only a first value: the scale is found from the residuals
 LEAST_ARRIVAL_STD_S = 1e-8  # corners and poses are no better than that
+LATENCY_STD_S = 5e-3  # of a buzzer after the sync output, its filter's delay included
 DELAY_STD_S = 1e-3  # where delays are to be found
 # Of intrinsics that the rig description gives: lenses move with focus, temperature and every new calibration.
-GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_DISTORTION = 0.02, 0.02, 0.1
+GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_RADIAL = 0.02, 0.02, 0.1
 # Of intrinsics found from the session: hardly a prior, but it keeps what nothing else tells from running away.
-FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_DISTORTION = 0.5, 0.2, 1.0
+FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_RADIAL = 0.5, 0.2, 1.0
+TANGENTIAL = 0.005  # of any lens: its elements are centred to a few hundredths of a millimetre
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,8 @@ def assemble(
     *,
     hold: tuple[str, ...] = (),
     find_delays: bool = False,
+    ignore_sync: bool = False,
+    media: tuple[Medium, ...] = (),
 ) -> tuple[JointProblem, Unknowns]:
     """Put the joint problem together.
 
@@ -90,9 +96,14 @@ def assemble(
     channels : tuple of int
         Of the microphones to be found.
     hold : tuple of str
-        Of "speed", "buzzers", "scale", "intrinsics" and "poses": held at what the rig description, or `view`, says.
+        Of "speed", "buzzers", "scale", "corners", "intrinsics" and "poses": held at what the rig description, or
+        `view`, says.
     find_delays : bool
         Channels may be late, each by a constant time.
+    ignore_sync : bool
+        Leave open when emissions began, even where the board's sync output was recorded.
+    media : tuple of Medium
+        The air of each session, where there are several; `tdoas` says which emission is of which.
 
     Returns
     -------
@@ -106,19 +117,44 @@ def assemble(
         np.array([buzzer.position_m for buzzer in description.board.buzzers]),
         camera_vector(view.intrinsics),
         view.board_to_camera,
+        0 if "corners" in hold else n_corners(description.board),
     )
+    start = _in_media(start, media) if media else start
+    table = arrival_table(description, view, tdoas, nodes(description, channels))
+    onsets = None if ignore_sync else _onset_table(view, tdoas, table, len(description.board.buzzers))
+    if onsets is not None:
+        start = start.with_latencies(start.blocks.n_sessions * start.blocks.n_buzzers)
     std = _prior_std(start.blocks, description)
+    std[start.blocks.latencies] = LATENCY_STD_S
+    std[start.blocks.speed] = [medium.speed_std_m_s() for medium in media or (description.medium,)]
     if reference is not None:
         std[start.blocks.microphone(len(channels))] = reference.position_std_m
     std[start.blocks.delays] = DELAY_STD_S if find_delays else 0.0
-    for name in set(hold) - {"poses"}:
+    for name in set(hold) - {"poses", "corners"}:
         std[_named(start.blocks, name)] = 0.0
     priors = Priors(start.shared, std, poses_held="poses" in hold)
     seen = CornerTable(
         board_corners_m(description.board), corners.corners_px[np.isin(corners.pose, view.pose)], CORNER_STD_PX
     )
-    table = arrival_table(description, view, tdoas, nodes(description, channels))
-    return JointProblem(table, None if priors.poses_held else seen, priors), start
+    return JointProblem(table, None if priors.poses_held else seen, priors, onsets), start
+
+
+def _onset_table(view: View, tdoas: EmissionTdoas, table: ArrivalTable, n_buzzers: int) -> OnsetTable | None:
+    """Return when the emissions of an arrival table began, where the sync output was recorded."""
+    if tdoas.sound is None or tdoas.sound.onset_s is None or tdoas.sound.onset_std_s is None:
+        return None
+    rows = emission_rows(view, tdoas)
+    if not np.isfinite(tdoas.sound.onset_s[rows]).any():
+        return None
+    session = 0 if table.session is None else table.session
+    return OnsetTable(tdoas.sound.onset_s[rows], tdoas.sound.onset_std_s[rows], session * n_buzzers + table.buzzer)
+
+
+def _in_media(start: Unknowns, media: tuple[Medium, ...]) -> Unknowns:
+    several = start.for_sessions(len(media))
+    shared = several.shared.copy()
+    shared[several.blocks.speed] = [medium.speed_m_s() for medium in media]
+    return replace(several, shared=shared)
 
 
 def nodes(description: RigDescription, channels: tuple[int, ...]) -> tuple[int, ...]:
@@ -140,7 +176,8 @@ def arrival_table(
     else:
         places = np.ix_(rows, np.array([tdoas.sound.channels.index(channel) for channel in channels]))
         arrival_s, std_s = tdoas.sound.arrival_s[places], np.maximum(tdoas.sound.std_s[places], LEAST_ARRIVAL_STD_S)
-    return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s)
+    session = None if tdoas.session is None else tdoas.session[rows]
+    return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s, session)
 
 
 def emission_rows(view: View, tdoas: EmissionTdoas) -> NDArray[np.intp]:
@@ -155,24 +192,35 @@ def camera_vector(intrinsics: Intrinsics) -> FloatArray:
 
 
 def _prior_std(blocks: Blocks, description: RigDescription) -> FloatArray:
-    board, medium = description.board, description.medium
+    board = description.board
     std = np.full(blocks.size, np.inf)
-    std[blocks.speed] = medium.speed_std_m_s()
     std[blocks.buzzers] = board.buzzer_std_m
     std[blocks.scale] = board.square_size_std_m / board.square_size_m
-    std[blocks.camera] = _camera_std(description.camera)
+    std[blocks.camera] = camera_std(description.camera)
+    std[blocks.corners] = np.tile(corner_std_m(board), blocks.n_corners)
     return std
 
 
-def _camera_std(camera: Camera) -> FloatArray:
+def n_corners(board: Board) -> int:
+    """Return how many corners may be elsewhere than on a perfect board."""
+    return math.prod(board.corners) if corner_std_m(board).any() else 0
+
+
+def corner_std_m(board: Board) -> FloatArray:
+    """Return how far corners may be from their places on a perfect board: standard deviations (3,), board frame."""
+    return np.array([board.print_std_m, board.print_std_m, board.flatness_std_m])
+
+
+def camera_std(camera: Camera) -> FloatArray:
+    """Return how well intrinsics (9,) are known beforehand."""
     width = camera.size_px[0]
     if isinstance(camera.intrinsics, Intrinsics):
         focal_px = GIVEN_FOCAL_SHARE * np.array(camera.intrinsics.focal_px)
-        principal_px, distortion = GIVEN_PRINCIPAL_SHARE * width, GIVEN_DISTORTION
+        principal_px, radial = GIVEN_PRINCIPAL_SHARE * width, GIVEN_RADIAL
     else:
         focal_px = np.full(2, FOUND_FOCAL_SHARE * width)
-        principal_px, distortion = FOUND_PRINCIPAL_SHARE * width, FOUND_DISTORTION
-    return np.array([*focal_px, *[principal_px] * 2, *[distortion] * 4, 0.0])
+        principal_px, radial = FOUND_PRINCIPAL_SHARE * width, FOUND_RADIAL
+    return np.array([*focal_px, *[principal_px] * 2, *[radial] * 2, *[TANGENTIAL] * 2, 0.0])
 
 
 def _named(blocks: Blocks, name: str) -> slice:

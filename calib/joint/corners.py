@@ -1,7 +1,9 @@
 """Residuals of the board's corners in the pictures and their derivatives.
 
 A corner at q on the board, the printed squares m times as large as described, is seen at project(m R_p q + t_p): a
-pinhole camera with Brown-Conrady distortion, as OpenCV has it.
+pinhole camera with Brown-Conrady distortion, as OpenCV has it. No print is perfect and no board flat, and such errors
+are the same in every picture, so no number of pictures averages them away: q may be found along with the rest
+(K. H. Strobl and G. Hirzinger, ICCV Workshops 2011, doi:10.1109/ICCVW.2011.6130369).
 """
 
 from __future__ import annotations
@@ -64,10 +66,14 @@ class CornerTable:
         by_shared = np.concatenate([by_scale, by_camera], axis=3)
         weights = np.where(self.present, weights, 0.0)
         residuals_px = np.where(self.present[..., None], self.seen_px - projected_px, 0.0)
-        return _assembled(at, by_shared, by_pose, residuals_px, weights)
+        equations = _assembled(at, by_shared, by_pose, residuals_px, weights)
+        if at.blocks.n_corners:
+            by_corner = by_place @ (at.scale * at.rotations[:, None])
+            _add_own(equations, at, by_corner, by_shared, by_pose, weights[..., None] * residuals_px, weights)
+        return equations
 
     def _places_m(self, at: Unknowns) -> FloatArray:
-        turned_m = self.board_m @ at.rotations.swapaxes(1, 2)
+        turned_m = (self.board_m + at.corners_m) @ at.rotations.swapaxes(1, 2)
         return np.asarray(at.scale * turned_m + at.translations_m[:, None])
 
 
@@ -123,3 +129,26 @@ def _assembled(
     border[:, places] = by_shared.swapaxes(1, 2) @ (weight * by_pose)
     cost = 0.5 * float(np.sum(pull.ravel() * residuals_px.ravel()))
     return NormalEquations(shared, border, turned @ (weight * by_pose), gradient, (turned @ pull)[..., 0], cost)
+
+
+def _add_own(
+    equations: NormalEquations,
+    at: Unknowns,
+    by_corner: FloatArray,
+    by_shared: FloatArray,
+    by_pose: FloatArray,
+    pull: FloatArray,
+    weights: FloatArray,
+) -> None:
+    """Add what the pictures say of each corner's place on the board; it touches that corner alone."""
+    own, others = at.blocks.corners, np.arange(at.blocks.scale.start, at.blocks.camera.stop)
+    n_corners = at.blocks.n_corners
+    weighted = (weights[..., None, None] * by_corner).transpose(0, 1, 3, 2)  # pose, corner, axis, pixel axis
+    blocks = np.zeros((n_corners, 3, n_corners, 3))
+    blocks[np.arange(n_corners), :, np.arange(n_corners)] = (weighted @ by_corner).sum(axis=0)
+    equations.shared[own, own] = blocks.reshape(3 * n_corners, -1)
+    crossed = (weighted @ by_shared).sum(axis=0).reshape(3 * n_corners, -1)
+    equations.shared[own, others] = crossed
+    equations.shared[others, own] = crossed.T
+    equations.border[:, own] = (weighted @ by_pose).reshape(len(by_pose), 3 * n_corners, POSE_SIZE)
+    equations.shared_gradient[own] = np.einsum("pqki,pqk->qi", by_corner, pull).ravel()

@@ -30,6 +30,7 @@ class Descent:
 def descend(problem: JointProblem, start: Unknowns, weights: Weights, max_iterations: int = MAX_ITERATIONS) -> Descent:
     """Minimise the weighted sum of squares (Marquardt's scaling, doi:10.1137/0111030)."""
     at, damping = start, FIRST_DAMPING
+    weights = problem.with_onset_weights(weights, start)
     equations = problem.free_equations(at, weights)
     for iteration in range(1, max_iterations + 1):
         try:
@@ -37,7 +38,7 @@ def descend(problem: JointProblem, start: Unknowns, weights: Weights, max_iterat
         except np.linalg.LinAlgError:
             damping *= 10
             continue
-        moved = at.moved(*_whole(problem, at, shared, poses))
+        moved = at.moved(*whole_step(problem, at, shared, poses))
         new = problem.free_equations(moved, weights)
         gain = float(shared @ equations.shared_gradient + np.sum(poses * equations.pose_gradient))
         if new.cost <= equations.cost:
@@ -51,7 +52,9 @@ def descend(problem: JointProblem, start: Unknowns, weights: Weights, max_iterat
     return Descent(at, equations.cost, False, max_iterations)
 
 
-def _whole(problem: JointProblem, at: Unknowns, shared: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+def whole_step(
+    problem: JointProblem, at: Unknowns, shared: FloatArray, poses: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the steps of all unknowns: 0 for what is held."""
     step = np.zeros(at.blocks.size)
     step[problem.priors.free] = shared

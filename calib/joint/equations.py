@@ -51,6 +51,15 @@ class NormalEquations:
             self.cost + other.cost,
         )
 
+    def spread(self, places: NDArray[np.intp], n_shared: int) -> NormalEquations:
+        """Return the equations with the shared unknowns at some places (n,) among more of them."""
+        shared, gradient = np.zeros((n_shared, n_shared)), np.zeros(n_shared)
+        border = np.zeros((len(self.border), n_shared, self.border.shape[2]))
+        shared[np.ix_(places, places)], gradient[places], border[:, places] = (
+            self.shared, self.shared_gradient, self.border,
+        )  # fmt: skip
+        return replace(self, shared=shared, border=border, shared_gradient=gradient)
+
     def only(self, free: NDArray[np.bool_], *, poses_free: bool) -> NormalEquations:
         """Return the equations of some of the shared unknowns (n_shared,), with the poses or without."""
         n_poses = len(self.poses) if poses_free else 0

@@ -40,11 +40,14 @@ class Suggestion:
         About the camera's x and y axes.
     worst_std_m : float
         What it would leave of the worst microphone's largest standard deviation, with those before it captured too.
+    now_m : float
+        What that is now.
     """
 
     centre_m: FloatArray
     tilt_deg: tuple[float, float]
     worst_std_m: float
+    now_m: float
 
     def sentence(self) -> str:
         """Say where to hold the board."""
@@ -54,7 +57,7 @@ class Suggestion:
         turned = f"tilted by {' and '.join(tilts)}" if tilts else "facing the camera"
         return (
             f"board centre at x {x:+.0f}, y {y:+.0f}, z {z:.0f} mm, {turned}: the worst microphone to "
-            f"{1e3 * self.worst_std_m:.2f} mm"
+            f"{1e3 * self.worst_std_m:.2f} mm (now {1e3 * self.now_m:.2f} mm)"
         )
 
 
@@ -88,7 +91,7 @@ def suggest_poses(
         centre_m, tilt, _ = candidates.pop(best)
         information = information + gains.pop(best)
         degrees = (float(np.degrees(tilt[0])), float(np.degrees(tilt[1])))
-        chosen.append(Suggestion(centre_m, degrees, left_m[best]))
+        chosen.append(Suggestion(centre_m, degrees, left_m[best], now_m))
     return now_m, chosen
 
 

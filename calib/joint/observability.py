@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +14,29 @@ from rigs.description import Camera, Intrinsics
 FloatArray = NDArray[np.float64]
 
 LITTLE_TILT_DEG = 5.0
+BENT_M = 0.001
 LARGE_STD_M = 0.002
 STRAINED_SIGMAS = 3.0
 CORRELATED = 0.5
+
+
+@dataclass(frozen=True)
+class Weakest:
+    """How the array is known worst.
+
+    Parameters
+    ----------
+    motion : str
+        In words.
+    std_m : float
+        Root mean square over the microphones.
+    along_with : str or None
+        The unknown that goes along with it, if one does.
+    """
+
+    motion: str
+    std_m: float
+    along_with: str | None
 
 
 def board_tilts_deg(rotations: FloatArray) -> tuple[float, float]:
@@ -33,8 +55,9 @@ def observability_doubts(
     """Say what weakens the answer as a whole."""
     return [
         *_tilt_doubts(solution.at.rotations),
+        *_flatness_doubts(solution),
         *_focal_doubts(solution, camera),
-        *_weakest_doubts(solution, covariance, len(channels)),
+        *_weakest_doubts(weakest_motion(solution, covariance, len(channels))),
     ]
 
 
@@ -49,6 +72,22 @@ def _tilt_doubts(rotations: FloatArray) -> list[str]:
     return [doubt]
 
 
+def _flatness_doubts(solution: JointSolution) -> list[str]:
+    """Say how bent the board is: what is left of its corners' heights over the plane that fits them best."""
+    corners, heights_m = solution.problem.corners, solution.at.shared[solution.at.blocks.corners][2::3]
+    if corners is None or not len(heights_m):
+        return []
+    plane = np.column_stack([corners.board_m[:, :2], np.ones(len(heights_m))])
+    bend_m = float(np.ptp(heights_m - plane @ np.linalg.lstsq(plane, heights_m, rcond=None)[0]))
+    if bend_m < BENT_M:
+        return []
+    doubt = (
+        f"the board is bent by {1e3 * bend_m:.1f} mm: its shape was found along with the rest, but a stiff and flat "
+        "plate needs fewer poses"
+    )
+    return [doubt]
+
+
 def _focal_doubts(solution: JointSolution, camera: Camera) -> list[str]:
     if not isinstance(camera.intrinsics, Intrinsics):
         return []
@@ -57,27 +96,30 @@ def _focal_doubts(solution: JointSolution, camera: Camera) -> list[str]:
     if std_px == 0 or abs(found_px - given_px) < STRAINED_SIGMAS * std_px:
         return []
     doubt = (
-        f"the focal length came out at {found_px:.0f} px, camera.intrinsics gives {given_px:.0f} px: sound and "
-        "pictures do not agree on depth; calibrate the camera with tilted boards"
+        f"the focal length came out at {found_px:.0f} px, camera.intrinsics gives {given_px:.0f} px: "
+        "this session does not agree with it; calibrate the camera with a flat board, tilted both ways"
     )
     return [doubt]
 
 
-def _weakest_doubts(solution: JointSolution, covariance: FloatArray, n_mics: int) -> list[str]:
-    """Name the motion of the array that is known worst, and the unknown that goes along with it."""
-    among = covariance[: 3 * n_mics, : 3 * n_mics]
-    values, vectors = np.linalg.eigh(among)
-    rms_m = float(np.sqrt(values[-1] / n_mics))
-    if rms_m < LARGE_STD_M:
-        return []
+def weakest_motion(solution: JointSolution, covariance: FloatArray, n_mics: int) -> Weakest:
+    """Return the motion of the array that is known worst, and the unknown that goes along with it."""
+    values, vectors = np.linalg.eigh(covariance[: 3 * n_mics, : 3 * n_mics])
     motion = _named_motion(solution.at.microphones_m[:n_mics], vectors[:, -1])
     along = covariance[:, : 3 * n_mics] @ vectors[:, -1] / np.sqrt(values[-1])
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     tied = np.where(np.diag(covariance) > 0, np.abs(along) / std, 0.0)
     tied[solution.at.blocks.microphones] = 0.0
     worst = int(np.argmax(tied))
-    goes_along = f", along with {_unknown_name(solution, worst)}" if tied[worst] > CORRELATED else ""
-    return [f"the array is known worst in {motion}: {1e3 * rms_m:.1f} mm per microphone{goes_along}"]
+    goes_along = _unknown_name(solution, worst) if tied[worst] > CORRELATED else None
+    return Weakest(motion, float(np.sqrt(values[-1] / n_mics)), goes_along)
+
+
+def _weakest_doubts(weakest: Weakest) -> list[str]:
+    if weakest.std_m < LARGE_STD_M:
+        return []
+    goes_along = f", along with {weakest.along_with}" if weakest.along_with else ""
+    return [f"the array is known worst in {weakest.motion}: {1e3 * weakest.std_m:.1f} mm per microphone{goes_along}"]
 
 
 def _named_motion(places_m: FloatArray, direction: FloatArray) -> str:
@@ -92,12 +134,14 @@ def _named_motion(places_m: FloatArray, direction: FloatArray) -> str:
 
 def _unknown_name(solution: JointSolution, place: int) -> str:
     blocks = solution.at.blocks
-    if place < blocks.speed.start:
-        return "a channel's delay"
-    if place < blocks.buzzers.start:
-        return "the speed of sound"
-    if place < blocks.scale.start:
-        return "the buzzers' places"
-    if place < blocks.camera.start:
-        return "the size of the squares"
-    return f"the camera's {CAMERA_VALUES[place - blocks.camera.start]}"
+    if blocks.camera.start <= place < blocks.camera.stop:
+        return f"the camera's {CAMERA_VALUES[place - blocks.camera.start]}"
+    names = {
+        "a channel's delay": blocks.delays,
+        "the speed of sound": blocks.speed,
+        "the buzzers' places": blocks.buzzers,
+        "the size of the squares": blocks.scale,
+        "the flatness of the board": blocks.corners,
+        "a buzzer's latency after the sync output": blocks.latencies,
+    }
+    return next(name for name, block in names.items() if block.start <= place < block.stop)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calib.joint.arrivals import ArrivalTable
 from calib.joint.corners import CornerTable
 from calib.joint.equations import NormalEquations
+from calib.joint.onsets import OnsetTable
 from calib.joint.unknowns import Unknowns
 
 FloatArray = NDArray[np.float64]
@@ -53,10 +54,14 @@ class Priors:
 
 @dataclass(frozen=True)
 class Weights:
-    """How much measurements count: arrivals (n_emissions, n_mics) in 1/s^2, corners (n_poses, n_corners) in 1/px^2."""
+    """How much measurements count: arrivals (n_emissions, n_mics) in 1/s^2, corners (n_poses, n_corners) in 1/px^2.
+
+    Onsets (n_emissions,) in 1/s^2; None: as far as they fit.
+    """
 
     arrivals: FloatArray
     corners: FloatArray
+    onsets: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -69,11 +74,14 @@ class JointProblem:
     corners : CornerTable or None
         None where the poses are held.
     priors : Priors
+    onsets : OnsetTable or None
+        None where nothing tells when emissions began.
     """
 
     arrivals: ArrivalTable
     corners: CornerTable | None
     priors: Priors
+    onsets: OnsetTable | None = None
 
     def stated_weights(self) -> Weights:
         """Return the weights that the stated standard deviations give."""
@@ -83,16 +91,31 @@ class JointProblem:
 
     def only(self, poses: BoolArray) -> JointProblem:
         """Return the problem of some of the poses (n_poses,)."""
-        arrivals = self.arrivals.only(poses[self.arrivals.pose])
+        emissions = poses[self.arrivals.pose]
         numbers = np.cumsum(poses) - 1
-        arrivals = replace(arrivals, pose=numbers[arrivals.pose])
-        return replace(self, arrivals=arrivals, corners=None if self.corners is None else self.corners.only(poses))
+        arrivals = self.arrivals.only(emissions)
+        return replace(
+            self,
+            arrivals=replace(arrivals, pose=numbers[arrivals.pose]),
+            corners=None if self.corners is None else self.corners.only(poses),
+            onsets=None if self.onsets is None else self.onsets.only(emissions),
+        )
+
+    def with_onset_weights(self, weights: Weights, at: Unknowns) -> Weights:
+        """Return the weights with those of the onsets as far as they fit, so that they stay while a step is sought."""
+        if self.onsets is None or weights.onsets is not None:
+            return weights
+        return replace(weights, onsets=self.onsets.weights(self.arrivals, at, weights.arrivals))
 
     def normal_equations(self, at: Unknowns, weights: Weights) -> NormalEquations:
         """Linearise at some values; the equations of all unknowns, held ones too."""
         equations = self.arrivals.normal_equations(at, weights.arrivals)
         if self.corners is not None:
             equations = equations + self.corners.normal_equations(at, weights.corners)
+        if self.onsets is not None:
+            own = self.with_onset_weights(weights, at).onsets
+            assert own is not None
+            equations = equations + self.onsets.normal_equations(self.arrivals, at, weights.arrivals, own)
         information, deviation = self.priors.information, self.priors.mean - at.shared
         return replace(
             equations,

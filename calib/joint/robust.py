@@ -189,6 +189,10 @@ def _scales(problem: JointProblem, at: Unknowns, arrivals: BoolArray, corners: B
     if problem.corners is None:
         return Scales(scale, 1.0)
     seen = np.where(corners[..., None], problem.corners.residuals_px(at), 0.0)
-    n_values = 2 * corners.sum() - POSE_SIZE * len(at.rotations) - problem.priors.free[at.blocks.camera].sum()
+    n_values = (
+        2 * corners.sum()
+        - POSE_SIZE * len(at.rotations)
+        - problem.priors.free[at.blocks.camera.start : at.blocks.corners.stop].sum()
+    )
     corner_scale = np.sqrt(np.sum(seen**2) / max(n_values, 1)) / problem.corners.std_px
     return Scales(float(scale), float(max(corner_scale, LEAST_SCALE)))

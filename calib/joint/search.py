@@ -7,6 +7,7 @@ robust (Cauchy), its width following each candidate's own residuals, so that it 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +35,24 @@ class RangeTable:
     ranges_m: FloatArray
     weights: FloatArray
 
+    @cached_property
+    def by_microphone(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return sources (3, n_emissions), ranges and weights (n_mics, n_emissions), each in one row of memory."""
+        sources_m, ranges_m, weights = (
+            np.ascontiguousarray(values.T) for values in (self.sources_m, self.ranges_m, self.weights)
+        )
+        return sources_m, ranges_m, weights
+
     def offsets_m(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ranges minus distances (n, n_emissions, n_mics) for places (n, n_mics, 3), and unit vectors."""
-        rays_m = places_m[:, None] - self.sources_m[:, None, :]
-        distances_m = np.sqrt(np.einsum("kemi,kemi->kem", rays_m, rays_m))
-        return self.ranges_m - distances_m, rays_m / np.maximum(distances_m, 1e-9)[..., None]
+        """Return ranges minus distances (n, n_mics, n_emissions) for places (n, n_mics, 3), and unit vectors.
+
+        The unit vectors (n, n_mics, 3, n_emissions) point from the sources.
+        """
+        sources_m, ranges_m, _ = self.by_microphone
+        rays_m = places_m[..., None] - sources_m
+        distances_m = np.sqrt(rays_m[:, :, 0] ** 2 + rays_m[:, :, 1] ** 2 + rays_m[:, :, 2] ** 2)
+        rays_m /= np.maximum(distances_m, 1e-9)[:, :, None]
+        return ranges_m - distances_m, rays_m
 
 
 @dataclass(frozen=True)
@@ -50,7 +64,7 @@ class Candidates:
     places_m : (n, n_mics, 3) array
     scale : (n,) array
         Robust standard deviation of residuals over their stated ones.
-    residuals : (n, n_emissions, n_mics) array
+    residuals : (n, n_mics, n_emissions) array
         Over their stated standard deviations.
     """
 
@@ -64,88 +78,98 @@ class Candidates:
         return np.asarray(np.log1p((self.residuals / width) ** 2).sum(axis=(1, 2)) * CAUCHY_WIDTH**2)
 
 
+@dataclass(frozen=True)
+class _Linearised:
+    """Normal equations of a batch: (n, 3 n_mics, 3 n_mics), (n, 3 n_mics), and half the sums of squares (n,)."""
+
+    hessian: FloatArray
+    gradient: FloatArray
+    cost: FloatArray
+
+    def step_m(self, damping: FloatArray) -> FloatArray:
+        """Return steps (n, n_mics, 3) with Marquardt's scaling."""
+        scale = np.sqrt(np.maximum(np.diagonal(self.hessian, axis1=1, axis2=2), 1e-300))
+        scaled = self.hessian / (scale[:, :, None] * scale[:, None, :])
+        scaled += (damping[:, None, None] + 1e-13) * np.eye(scale.shape[1])
+        step = np.linalg.solve(scaled, (self.gradient / scale)[..., None])[..., 0] / scale
+        return np.asarray(step.reshape(len(step), -1, 3))
+
+    def where(self, better: NDArray[np.bool_], other: _Linearised) -> _Linearised:
+        """Return these equations where they are better, else the others."""
+        if better.all():
+            return self
+        return _Linearised(
+            np.where(better[:, None, None], self.hessian, other.hessian),
+            np.where(better[:, None], self.gradient, other.gradient),
+            np.where(better, self.cost, other.cost),
+        )
+
+
 def descend_together(
     table: RangeTable, places_m: FloatArray, *, least_squares: int = 15, robust: int = 25
 ) -> Candidates:
     """Descend from places (n, n_mics, 3): so many steps of least squares, then so many of a robust loss."""
     damping = np.full(len(places_m), 1e-3)
+    weights = np.broadcast_to(table.by_microphone[2], (len(places_m), *table.weights.T.shape))
+    here = _linearised(table, places_m, weights)
     for iteration in range(least_squares + robust):
-        weights = _weights(table, places_m, iteration >= least_squares)
-        hessian, gradient, cost = _equations(table, places_m, weights)
-        step_m = _damped(hessian, gradient, damping)
+        if iteration >= least_squares:
+            weights = _robust_weights(table, places_m)
+            here = _linearised(table, places_m, weights)
+        step_m = here.step_m(damping)
         moved_m = places_m + step_m
-        better = _cost(table, moved_m, weights) <= cost
-        places_m = np.where(better[:, None, None], moved_m, places_m)
+        there = _linearised(table, moved_m, weights)
+        better = there.cost <= here.cost
+        places_m, here = np.where(better[:, None, None], moved_m, places_m), there.where(better, here)
         damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e12)
-        if (
-            iteration != least_squares
-            and np.abs(step_m).max() < AT_REST_M
-            and (iteration > least_squares or not robust)
-        ):
+        # what the robust loss starts from need not be at rest
+        if np.abs(step_m).max() < AT_REST_M and (iteration > least_squares or not robust):
             break
-    residuals = _deviations(table, places_m, _weights(table, places_m, robust > 0))
+    weights = _robust_weights(table, places_m) if robust else weights
+    residuals = _deviations(table, places_m, weights)
     return Candidates(places_m, _scales(table, residuals), residuals)
 
 
-def _weights(table: RangeTable, places_m: FloatArray, robust: bool) -> FloatArray:
-    """Return weights (n, n_emissions, n_mics)."""
-    weights = np.broadcast_to(table.weights, (len(places_m), *table.weights.shape))
-    if not robust:
-        return weights
-    deviations = _deviations(table, places_m, None)
+def _robust_weights(table: RangeTable, places_m: FloatArray) -> FloatArray:
+    """Return weights (n, n_mics, n_emissions) of a Cauchy loss."""
+    weights = None
     for _ in range(2):
-        scale = np.maximum(_scales(table, deviations), 1e-9)[:, None, None]
-        weights = table.weights / (1 + (deviations / (CAUCHY_WIDTH * scale)) ** 2)
         deviations = _deviations(table, places_m, weights)
+        scale = np.maximum(_scales(table, deviations), 1e-9)[:, None, None]
+        weights = table.by_microphone[2] / (1 + (deviations / (CAUCHY_WIDTH * scale)) ** 2)
+    assert weights is not None
     return weights
 
 
 def _deviations(table: RangeTable, places_m: FloatArray, weights: FloatArray | None) -> FloatArray:
     """Return residuals over their standard deviations, about the weighted mean or, without weights, the median."""
     offsets_m, _ = table.offsets_m(places_m)
+    stated = table.by_microphone[2]
     if weights is None:
-        present = np.where(table.weights > 0, offsets_m, np.nan)
-        heard = (table.weights > 0).any(axis=1)
-        centre = np.zeros(offsets_m.shape[:2])
-        centre[:, heard] = np.nanmedian(present[:, heard], axis=2)
+        heard = np.asarray((stated > 0).any(axis=0))
+        centre = np.zeros((len(places_m), len(heard)))
+        centre[:, heard] = np.nanmedian(np.where(stated > 0, offsets_m, np.nan)[:, :, heard], axis=1)
     else:
-        centre = (weights * offsets_m).sum(axis=2) / np.maximum(weights.sum(axis=2), 1e-300)
-    return np.asarray((offsets_m - centre[..., None]) * np.sqrt(table.weights))
+        centre = (weights * offsets_m).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-300)
+    return np.asarray((offsets_m - centre[:, None]) * np.sqrt(stated))
 
 
 def _scales(table: RangeTable, deviations: FloatArray) -> FloatArray:
     """Return robust standard deviations (n,) of residuals."""
-    return np.asarray(1.4826 * np.median(np.abs(deviations[:, table.weights > 0]), axis=1))
+    return np.asarray(1.4826 * np.median(np.abs(deviations[:, table.by_microphone[2] > 0]), axis=1))
 
 
-def _cost(table: RangeTable, places_m: FloatArray, weights: FloatArray) -> FloatArray:
-    offsets_m, _ = table.offsets_m(places_m)
-    mean = (weights * offsets_m).sum(axis=2) / np.maximum(weights.sum(axis=2), 1e-300)
-    return np.asarray(0.5 * np.sum(weights * (offsets_m - mean[..., None]) ** 2, axis=(1, 2)))
-
-
-def _equations(
-    table: RangeTable, places_m: FloatArray, weights: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return normal equations of the batch: (n, 3 n_mics, 3 n_mics), (n, 3 n_mics), (n,)."""
+def _linearised(table: RangeTable, places_m: FloatArray, weights: FloatArray) -> _Linearised:
     n, n_mics = places_m.shape[:2]
     offsets_m, units = table.offsets_m(places_m)
-    total = np.maximum(weights.sum(axis=2), 1e-300)
-    centred_m = offsets_m - ((weights * offsets_m).sum(axis=2) / total)[..., None]
+    total = np.maximum(weights.sum(axis=1), 1e-300)
+    centred_m = offsets_m - ((weights * offsets_m).sum(axis=1) / total)[:, None]
     pull = weights * centred_m
-    weighted = (weights[..., None] * units).transpose(0, 2, 3, 1)  # candidate, microphone, axis, emission
-    own = weighted @ units.transpose(0, 2, 1, 3)
+    weighted = weights[:, :, None] * units
     means = weighted.reshape(n, 3 * n_mics, -1) / np.sqrt(total)[:, None]
     hessian = -(means @ means.swapaxes(1, 2))
     mics = np.arange(n_mics)
+    own = weighted @ units.swapaxes(2, 3)
     hessian.reshape(n, n_mics, 3, n_mics, 3)[:, mics, :, mics] += own.swapaxes(0, 1)
-    gradient = np.einsum("kem,kemi->kmi", pull, units).reshape(n, -1)
-    return hessian, gradient, 0.5 * np.sum(pull * centred_m, axis=(1, 2))
-
-
-def _damped(hessian: FloatArray, gradient: FloatArray, damping: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), 1e-300))
-    scaled = hessian / (scale[:, :, None] * scale[:, None, :])
-    scaled += (damping[:, None, None] + 1e-13) * np.eye(scale.shape[1])
-    step = np.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
-    return np.asarray(step.reshape(len(step), -1, 3))
+    gradient = (units @ pull[..., None]).reshape(n, -1)
+    return _Linearised(hessian, gradient, 0.5 * np.einsum("kme,kme->k", pull, centred_m))

@@ -12,29 +12,38 @@ from calib.camera import View
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
-from calib.errors import NotEnoughDataError
+from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
-from calib.joint.assemble import PairTdoas, assemble, nodes, pair_tdoas
+from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
+from calib.joint.bias import without_bias
+from calib.joint.continuation import Continuation
+from calib.joint.contradictions import check_held_intrinsics, check_suspects
 from calib.joint.heldout import hold_out
-from calib.joint.next_pose import suggest_poses
-from calib.joint.observability import board_tilts_deg, observability_doubts
+from calib.joint.next_pose import Suggestion, suggest_poses
+from calib.joint.observability import observability_doubts, weakest_motion
 from calib.joint.pairs import arrivals_that_agree
+from calib.joint.problem import JointProblem
+from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
-from calib.joint.uncertainty import microphone_covariances, microphone_rms_m, shared_covariance
+from calib.joint.threads import on_one_thread
+from calib.joint.uncertainty import microphone_rms_m, shared_covariance
+from calib.joint.unknowns import Unknowns
+from calib.rejections import Rejection, solve_rejections
 from calib.settings import Settings
-from rigs.description import Intrinsics, RigDescription
+from rigs.description import Intrinsics, Medium, RigDescription
 from rigs.geometry import Pose
 
 FloatArray = NDArray[np.float64]
 
 PAIR_SIGMAS = 4.5
-MAX_STD_M = 0.05  # of the microphones, root mean square: more is no answer
-MAX_REACH_M = 10.0  # a microphone further off is a fit at infinity
+BIASED_STD_M = 0.005  # of the microphones, root mean square: below, the bias is nothing beside it
+WORSE = 2.0  # times the scatter of an earlier solve: then that was in a wrong place
 
 
+@on_one_thread
 def answer_jointly(
     description: RigDescription,
     view: View,
@@ -42,41 +51,88 @@ def answer_jointly(
     tdoas: EmissionTdoas,
     channels: tuple[int, ...],
     settings: Settings,
+    *,
+    before: Continuation | None = None,
+    is_last: bool = True,
+    media: tuple[Medium, ...] = (),
 ) -> Answer:
     """Find the microphones along with everything that is not known exactly.
+
+    Parameters
+    ----------
+    description : RigDescription
+    view : View
+    corners : PoseCorners
+    tdoas : EmissionTdoas
+    channels : tuple of int
+    settings : Settings
+    before : Continuation or None
+        Where to start; None: from nothing.
+    is_last : bool
+        Not, where more poses are coming: then nothing is held out.
+    media : tuple of Medium
+        The air of each session, where there are several.
 
     Raises
     ------
     NotEnoughDataError, NotConvergedError
     """
     problem, guess = assemble(
-        description, view, corners, tdoas, channels, hold=settings.hold, find_delays=settings.find_delays
-    )
-    start = find_start(problem, guess, settings.seed)
-    solution, suspects = find_suspects(solve_robustly(problem, start.at))
+        description, view, corners, tdoas, channels,
+        hold=settings.hold, find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
+    )  # fmt: skip
+    solution, rival_m = _solved(problem, guess, view, settings, before)
+    check_held_intrinsics(solution, camera_std(description.camera))
+    solution, suspects = find_suspects(solution)
+    doubts = suspect_doubts(suspects, solution, description, channels)
+    check_suspects(suspects, doubts)
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
     if chosen.alone:
         solution = _with_pairs_that_fit(solution, chosen)
+    problem = solution.problem
     covariance = shared_covariance(problem, solution.at, solution.weights())
-    _check_determined(solution, covariance, len(channels))
-    fitted = _fitted_tdoas(solution, chosen)
+    check_determined(solution, covariance, len(channels))
+    if problem.onsets is None and microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
+        solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
+    fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
     at = solution.at
     return Answer(
         microphones_m=at.microphones_m[: len(channels)],
-        covariance_m2=microphone_covariances(covariance, len(channels)),
+        array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
         speed_of_sound_m_s=at.speed_m_s,
-        speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed][0, 0])),
+        speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed].mean())),
         view=refined_view(view, solution),
         residual=fitted.residual(),
         warnings=[
-            *_rival_doubts(start.at.microphones_m, start.rival_m, channels),
-            *suspect_doubts(suspects, solution, description, channels),
+            *_rival_doubts(at.microphones_m, rival_m, channels),
+            *doubts,
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
         ],
-        held_out=hold_out(solution, chosen),
+        held_out=hold_out(solution, chosen) if is_last else None,
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
+        rejections=[
+            *_poses_without_place(view, corners, tdoas),
+            *solve_rejections(solution, tdoas, emission_rows(view, tdoas), nodes(description, channels)),
+        ],
+        weakest=weakest_motion(solution, covariance, len(channels)),
+        continuation=Continuation(at, view.pose, solution.scales.arrivals),
+        speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
+        speed_stds_m_s=tuple(np.sqrt(np.diag(covariance)[at.blocks.speed]).tolist()),
+        evidence=_evidence(solution, chosen, corners.only(np.isin(corners.pose, view.pose)), len(channels)),
     )
+
+
+def _solved(
+    problem: JointProblem, guess: Unknowns, view: View, settings: Settings, before: Continuation | None
+) -> tuple[JointSolution, FloatArray | None]:
+    """Solve, near an earlier solution if that still fits; return another place that fits nearly as well, too."""
+    if before is not None:
+        solution = solve_robustly(problem, before.start(problem, guess, view.pose))
+        if solution.scales.arrivals < WORSE * before.scale:
+            return solution, None
+    start = find_start(problem, guess, settings.seed)
+    return solve_robustly(problem, start.at), start.rival_m
 
 
 def refined_view(view: View, solution: JointSolution) -> View:
@@ -91,29 +147,41 @@ def refined_view(view: View, solution: JointSolution) -> View:
     return View(intrinsics, view.source, view.pose, poses, rms_px)
 
 
-def _check_determined(solution: JointSolution, covariance: FloatArray, n_mics: int) -> None:
-    """Refuse an answer that is none: a clear statement is worth more than wild places.
+def _evidence(solution: JointSolution, chosen: PairTdoas, corners: PoseCorners, n_mics: int) -> Evidence:
+    at, table = solution.at, solution.problem.corners
+    seen_px = corners.corners_px
+    residuals_s = solution.residuals_s()
+    if chosen.alone:
+        residuals_s = _with_arrivals_of_rejected_pairs(residuals_s, solution, chosen)
+    return Evidence(
+        pose=chosen.pose,
+        buzzer=chosen.buzzer,
+        residuals_s=residuals_s[:, :n_mics],
+        used=solution.used_arrivals[:, :n_mics],
+        distances_m=solution.problem.arrivals.flights(at).distances_m[:, :n_mics],
+        corners_px=seen_px,
+        corner_residuals_px=np.full_like(seen_px, np.nan) if table is None else table.residuals_px(at),
+    )
 
-    Raises
-    ------
-    NotEnoughDataError
-    """
-    rms_m = microphone_rms_m(covariance, n_mics)
-    far_m = float(np.abs(solution.at.microphones_m[:n_mics]).max())
-    if rms_m > MAX_STD_M or far_m > MAX_REACH_M:
-        most, least = board_tilts_deg(solution.at.rotations)
-        raise NotEnoughDataError(
-            f"the session does not place the microphones: they are uncertain by {1e3 * rms_m:.0f} mm and up to "
-            f"{far_m:.1f} m away, with boards tilted by {most:.0f} and {least:.0f} degrees: capture more poses, "
-            "tilted by 30 degrees both ways about both axes and at several distances"
-        )
+
+def _with_arrivals_of_rejected_pairs(residuals_s: FloatArray, solution: JointSolution, chosen: PairTdoas) -> FloatArray:
+    """Fill in what became of no arrival, since its pairs were rejected before."""
+    by_pairs_s = arrivals_of_differences(chosen.residuals_s(solution), chosen.pairs, solution.at.blocks.n_mics)
+    fitting = np.where(np.isfinite(residuals_s), by_pairs_s, np.nan)
+    present = np.isfinite(fitting)
+    centre_s = np.where(present, fitting, 0.0).sum(axis=1) / np.maximum(present.sum(axis=1), 1)
+    return np.where(np.isfinite(residuals_s), residuals_s, by_pairs_s - centre_s[:, None])
 
 
-def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[str]:
-    if not n_poses:
-        return []
-    now_m, suggestions = suggest_poses(solution, description.camera.size_px, n_mics, n_poses)
-    return [f"{suggestion.sentence()} (now {1e3 * now_m:.2f} mm)" for suggestion in suggestions]
+def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:
+    lost = np.setdiff1d(corners.pose, view.pose).tolist()
+    return [
+        Rejection("pose", "no place of the board fits its corners", tdoas.pose_names.get(pose, pose)) for pose in lost
+    ]
+
+
+def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[Suggestion]:
+    return suggest_poses(solution, description.camera.size_px, n_mics, n_poses)[1] if n_poses else []
 
 
 def _with_pairs_that_fit(solution: JointSolution, chosen: PairTdoas) -> JointSolution:

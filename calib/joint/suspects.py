@@ -39,7 +39,7 @@ class Suspect:
     ----------
     kind : {"buzzer", "delay", "scale", "speed"}
     number : int
-        Of the buzzer or the channel, from 0; 0 for the others.
+        Of the buzzer, of the channel (session by session), or of the session, from 0; 0 for the scale.
     where : slice
         In the vector of shared unknowns.
     prior_std, loose_std : float
@@ -59,10 +59,14 @@ def candidates(blocks: Blocks, priors: Priors) -> list[Suspect]:
     out = [Suspect("buzzer", n, blocks.buzzer(n), max(buzzer_std_m, 1e-4), LOOSE_BUZZER_M) for n in range(n_buzzers)]
     out += [
         Suspect("delay", n, slice(delays + n, delays + n + 1), USUAL_DELAY_S, LOOSE_DELAY_S)
-        for n in range(blocks.n_mics)
+        for n in range(blocks.n_sessions * blocks.n_mics)
     ]
     out.append(Suspect("scale", 0, blocks.scale, max(float(priors.std[blocks.scale][0]), 1e-4), LOOSE_SCALE))
-    out.append(Suspect("speed", 0, blocks.speed, max(float(priors.std[blocks.speed][0]), 0.1), LOOSE_SPEED_M_S))
+    speed = blocks.speed.start
+    out += [
+        Suspect("speed", n, slice(speed + n, speed + n + 1), max(float(priors.std[speed + n]), 0.1), LOOSE_SPEED_M_S)
+        for n in range(blocks.n_sessions)
+    ]
     return out
 
 

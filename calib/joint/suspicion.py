@@ -30,10 +30,11 @@ def _sentence(suspect: Suspect, solution: JointSolution, description: RigDescrip
             f"where board.buzzers has it: the measurements put it at [{place}]; check its place and its wire"
         )
     if suspect.kind == "delay":
-        channel, late = nodes(description, channels)[suspect.number], "late" if value[0] > 0 else "early"
+        session, number = divmod(suspect.number, solution.at.blocks.n_mics)
+        channel, late = nodes(description, channels)[number], "late" if value[0] > 0 else "early"
         return (
-            f"channel {channel} is {abs(value[0]) * 1e3:.3f} ms {late}: check that all channels are sampled together "
-            "and pass the same filters"
+            f"channel {channel}{_of_session(solution, session)} is {abs(value[0]) * 1e3:.3f} ms {late}: check that all "
+            "channels are sampled together and pass the same filters"
         )
     if suspect.kind == "scale":
         size_mm = 1e3 * description.board.square_size_m * value[0]
@@ -42,9 +43,14 @@ def _sentence(suspect: Suspect, solution: JointSolution, description: RigDescrip
             "was the board printed to scale? Measure over many squares"
         )
     return (
-        f"the speed of sound is {value[0]:.1f} m/s by the measurements, {moved[0]:+.1f} m/s from the rig's: check "
-        "medium in the rig description"
+        f"the speed of sound{_of_session(solution, suspect.number)} is {value[0]:.1f} m/s by the measurements, "
+        f"{moved[0]:+.1f} m/s from the rig's: check medium in the rig description"
     )
+
+
+def _of_session(solution: JointSolution, number: int) -> str:
+    """Return words for one of several sessions, none for the only one."""
+    return f" of session {number + 1}" if solution.at.blocks.n_sessions > 1 else ""
 
 
 def _swapped_buzzers(suspects: list[Suspect], solution: JointSolution, description: RigDescription) -> list[str]:

@@ -26,10 +26,19 @@ class Blocks:
     Parameters
     ----------
     n_mics, n_buzzers : int
+    n_corners : int
+        Of the board, if their places on it are to be found, else 0.
+    n_sessions : int
+        Each has its own speed of sound and its own delays; all else is shared.
+    n_latencies : int
+        Of buzzers after the sync output, where that is used, else 0.
     """
 
     n_mics: int
     n_buzzers: int
+    n_corners: int = 0
+    n_sessions: int = 1
+    n_latencies: int = 0
 
     @property
     def microphones(self) -> slice:
@@ -38,13 +47,13 @@ class Blocks:
 
     @property
     def delays(self) -> slice:
-        """How late each channel is, seconds."""
-        return slice(3 * self.n_mics, 4 * self.n_mics)
+        """How late each channel is, seconds, session by session."""
+        return slice(3 * self.n_mics, 3 * self.n_mics + self.n_sessions * self.n_mics)
 
     @property
     def speed(self) -> slice:
-        """Speed of sound, m/s."""
-        return slice(4 * self.n_mics, 4 * self.n_mics + 1)
+        """Speed of sound, m/s, of each session."""
+        return slice(self.delays.stop, self.delays.stop + self.n_sessions)
 
     @property
     def buzzers(self) -> slice:
@@ -62,9 +71,26 @@ class Blocks:
         return slice(self.scale.stop, self.scale.stop + len(CAMERA_VALUES))
 
     @property
+    def corners(self) -> slice:
+        """How far each corner is from its place on a perfect board, three coordinates in metres, board frame."""
+        return slice(self.camera.stop, self.camera.stop + 3 * self.n_corners)
+
+    @property
+    def latencies(self) -> slice:
+        """How late each buzzer sounds after the sync output, seconds, session by session."""
+        return slice(self.corners.stop, self.corners.stop + self.n_latencies)
+
+    @property
     def size(self) -> int:
         """Length of the vector."""
-        return int(self.camera.stop)
+        return int(self.latencies.stop)
+
+    def of_session(self, number: int) -> NDArray[np.intp]:
+        """Return where the unknowns of one session stand, in the order of a vector of that session alone."""
+        places = np.arange(self.size)
+        own_delays = self.delays.start + number * self.n_mics + np.arange(self.n_mics)
+        before, after = places[self.microphones], places[self.buzzers.start :]
+        return np.concatenate([before, own_delays, [self.speed.start + number], after])
 
     def microphone(self, number: int) -> slice:
         """Return where one microphone stands."""
@@ -102,11 +128,13 @@ class Unknowns:
         buzzers_m: FloatArray,
         camera: FloatArray,
         poses: list[Pose],
+        n_corners: int = 0,
     ) -> Unknowns:
-        """Put values together; delays are 0 and the board's scale is 1."""
-        blocks = Blocks(len(microphones_m), len(buzzers_m))
+        """Put values together; delays are 0, the board is perfect and its scale is 1."""
+        blocks = Blocks(len(microphones_m), len(buzzers_m), n_corners)
+        delays_s, corners_m = np.zeros(len(microphones_m)), np.zeros(3 * n_corners)
         shared = np.concatenate(
-            [microphones_m.ravel(), np.zeros(len(microphones_m)), [speed_m_s], buzzers_m.ravel(), [1.0], camera]
+            [microphones_m.ravel(), delays_s, [speed_m_s], buzzers_m.ravel(), [1.0], camera, corners_m]
         )
         rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
         return cls(blocks, shared, rotations, np.array([pose.translation_m for pose in poses]).reshape(-1, 3))
@@ -118,13 +146,13 @@ class Unknowns:
 
     @property
     def delays_s(self) -> FloatArray:
-        """Delays (n_mics,) of the channels."""
+        """Delays (n_sessions * n_mics,) of the channels, session by session."""
         return self.shared[self.blocks.delays]
 
     @property
     def speed_m_s(self) -> float:
-        """Speed of sound."""
-        return float(self.shared[self.blocks.speed][0])
+        """Speed of sound; of several sessions the mean."""
+        return float(self.shared[self.blocks.speed].mean())
 
     @property
     def buzzers_m(self) -> FloatArray:
@@ -141,6 +169,11 @@ class Unknowns:
         """Intrinsics (9,)."""
         return self.shared[self.blocks.camera]
 
+    @property
+    def corners_m(self) -> FloatArray | float:
+        """How far each corner (n_corners, 3) is from its place on a perfect board; 0 where that is not to be found."""
+        return self.shared[self.blocks.corners].reshape(-1, 3) if self.blocks.n_corners else 0.0
+
     def moved(self, shared_step: FloatArray, pose_steps: FloatArray) -> Unknowns:
         """Return the unknowns after steps (n_shared,) and (n_poses, 6)."""
         rotations = rotation_matrices(pose_steps[:, :3]) @ self.rotations
@@ -156,6 +189,27 @@ class Unknowns:
         shared = self.shared.copy()
         shared[self.blocks.microphones] = microphones_m.ravel()
         return replace(self, shared=shared)
+
+    def for_sessions(self, n_sessions: int) -> Unknowns:
+        """Return the values of one session as those of several."""
+        shared = [
+            self.shared[self.blocks.microphones],
+            np.tile(self.shared[self.blocks.delays], n_sessions),
+            np.repeat(self.shared[self.blocks.speed], n_sessions),
+            self.shared[self.blocks.buzzers.start :],
+        ]
+        return replace(self, blocks=replace(self.blocks, n_sessions=n_sessions), shared=np.concatenate(shared))
+
+    def with_latencies(self, n_latencies: int) -> Unknowns:
+        """Return the values with latencies of buzzers, all 0."""
+        blocks = replace(self.blocks, n_latencies=n_latencies)
+        return replace(self, blocks=blocks, shared=np.append(self.shared, np.zeros(n_latencies)))
+
+    def of_session(self, number: int) -> Unknowns:
+        """Return the unknowns as those of one session; all poses stay."""
+        return replace(
+            self, blocks=replace(self.blocks, n_sessions=1), shared=self.shared[self.blocks.of_session(number)]
+        )
 
     def only(self, poses: NDArray[np.bool_]) -> Unknowns:
         """Return the unknowns with some of the poses (n_poses,) only."""
