@@ -10,13 +10,14 @@ import click
 
 from rigs.command import run
 from rigs.session.aislab_command import import_group
+from rigs.session.export_commands import audio, frames
 from rigs.target import session_file
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="acoustic-camera-rig")
 def cli() -> None:
-    """Look into session files, recover damaged ones, and make them from published measurements."""
+    """Look into session files, take sound and pictures out, recover damaged ones, import published measurements."""
 
 
 @cli.command()
@@ -62,6 +63,8 @@ def recover(file: Path, output: Path) -> int:
 
 
 cli.add_command(import_group)
+cli.add_command(audio)
+cli.add_command(frames)
 
 
 def main() -> None:

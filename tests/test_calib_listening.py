@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import sys
 import tracemalloc
 from pathlib import Path
 
@@ -169,13 +168,6 @@ def test_measured_tdoas_have_no_sound_to_look_at(tmp_path, simulated_description
     path = write_measured_session(tmp_path / "s.h5", simulated_description)
     assert run("rig-calibrate", command, [str(path), "--inspect-tdoa", "0"]) == 2
     assert "no sound" in capsys.readouterr().err
-
-
-def test_without_matplotlib_the_remedy_is_named(path, capsys, monkeypatch):
-    for name in ("matplotlib", "matplotlib.figure", "matplotlib.backends.backend_agg"):
-        monkeypatch.setitem(sys.modules, name, None)
-    assert run("rig-calibrate", command, [str(path), "--inspect-tdoa", "3"]) == 2
-    assert "acoustic-camera-rig[plot]" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("mode", ["matched", "gcc-phat"])
