@@ -215,7 +215,7 @@ def _result_path(sessions: tuple[Path, ...]) -> Path:
         name = f"{sessions[0].stem}+{len(sessions) - 1}-more"
     else:
         name = "+".join(session.stem for session in sessions)
-    return sessions[0].with_name(f"{name}.calib.yaml")
+    return sessions[0].parent / f"{name}.calib.yaml"  # a name may be empty: "." is refused later
 
 
 def _follow(session: Path, settings: Settings, publication: Publication) -> None:
