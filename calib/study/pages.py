@@ -30,9 +30,9 @@ NAMES = {
     "joint": "joint",
 }
 FIGURES = {
-    "paper_rmse_m": "The paper's figure (root of the mean; microphones 1 to 7 over 8), mm",
-    "rmse_m": "Root mean square error of all microphones, mm",
-    "median_m": "Median of the repetitions' root mean square errors, mm",
+    "paper_rmse_m": "The paper's figure (microphones 1 to 7 over 8; of rounds that came to rest), mm",
+    "rmse_m": "Root mean square error of all microphones, of rounds that came to rest, mm",
+    "median_m": "Median of all rounds' root mean square errors, mm",
     "aligned_median_m": "The same after the best rigid motion of each, mm",
     "bound_m": "Cramer-Rao bound for Gaussian noise of this variance, mm",
     "settled": "Share that came to rest nearby",

@@ -35,7 +35,8 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
-    "svg.hashsalt": "acoustic-camera-rig",
+    "svg.hashsalt": "acoustic-camera-rig",  # the same figure is the same file
+    "svg.fonttype": "none",
 }
 MOST_DRAWN = 2000  # repetitions of a case: box plots tell no more with more of them
 MOST_MM = 2000.0  # more is no answer
