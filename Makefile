@@ -26,7 +26,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 demo: setup
-	@rm -f demo.h5 demo.calib.yaml demo.arrivals.npz
+	@rm -f demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz
 	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
 	$(BIN)/rig-calibrate demo.h5
 
@@ -35,9 +35,13 @@ virtual-bench: setup
 	.ci/system-packages
 	@PYTHONPATH=tests $(BIN)/python -m virtual_bench
 
-# the README's picture, from the demo's files
+# README's pictures, from the demo's report and its verification, and the bench guide's drawings
 figures: setup
-	$(BIN)/python docs/figures/make.py
+	.ci/system-packages
+	$(BIN)/python docs/figures/screenshot.py demo.report.html docs/figures/report.png
+	$(BIN)/rig-verify demo.h5 --calibration demo.calib.yaml --overwrite
+	$(BIN)/python docs/figures/overlay.py
+	$(BIN)/python docs/figures/bench.py
 
 bench: setup
 	.ci/system-packages
@@ -66,7 +70,8 @@ coverage: setup
 
 lock:
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-emit-find-links --no-header \
-	    --extra aislab --extra plot --extra study --group dev --output-file requirements.lock pyproject.toml
+	    --extra aislab --extra study --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz
+	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache
+	rm -rf demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz demo.verify

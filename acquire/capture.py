@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from acquire.devices.base import Rig
 from acquire.devices.choose import choose_devices
 from acquire.disk import DiskSpace
-from acquire.errors import CaptureError, CaptureQualityError, InterruptedCaptureError
+from acquire.errors import CaptureError, CaptureQualityError, DeviceError, InterruptedCaptureError
 from acquire.poses import Poses
 from acquire.recording import Recording
-from acquire.resume import SEED, Resumption, resume
+from acquire.resume import POSES, SEED, Resumption, resume
 from acquire.screen import Screen
 from acquire.status import State, Status
 from rigs import __version__
@@ -28,6 +28,8 @@ from rigs.library import FoundDescription
 from rigs.session.good_part import Watch
 from rigs.session.writer import SessionWriter
 from rigs.target import check_target
+
+_READDRESS = "; if it has another address now, name a rig description that says so: --resume --rig PATH"
 
 
 def capture(
@@ -80,33 +82,34 @@ def capture(
         Somebody wanted it to end.
     """
     description = _with_poses(found.description, poses)
-    space = DiskSpace(path, description)
-    if not resumes:  # a resumption asks for more room, and says so itself
+    status, space = _status(description, path), DiskSpace(path, description)
+    if resumes:
+        space.check(also_bytes=path.stat().st_size)
+    else:
         check_target(path)
         space.check()
     rig = choose_devices(description, seed=seed)
     watch = _interruptible(screen, stop_wanted, path)
-    earlier = resume(path, rig.truth, description.capture.poses, watch) if resumes else None
-    with ExitStack() as stack:
+    earlier = resume(path, rig.truth, description, description.capture.poses, watch) if resumes else None
+    with _telling_what_is_saved(status), ExitStack() as stack:
         if earlier is not None:
+            status.saved, status.earlier_s = earlier.recovery.n_accepted, earlier.recovery.duration_s
             stack.enter_context(earlier.writer)  # discards the copy when a device is missing
-        versions = stack.enter_context(_opened(rig))
+        versions = stack.enter_context(_opened(rig, stop_wanted, _READDRESS if resumes else ""))
         if rig.truth is not None:
             versions[SEED] = str(description.simulation.seed if seed is None else seed)
+        versions[POSES] = str(description.capture.poses)
         writer = earlier.writer if earlier else stack.enter_context(_new_session(path, found, rig, versions))
-        status = _status(description, path)
         recording = Recording(rig, writer, description, screen, status, stop_wanted)
         if earlier is not None:
             _go_on(earlier, recording, versions)
         _warn(recording, space)
         try:
             Poses(recording, description, earlier).capture_all()
-        except SessionWriteError as error:
-            raise SessionWriteError(f"{error}; {saved_line(status)}") from error
         except CaptureError as error:
             level = "info" if isinstance(error, InterruptedCaptureError) else "error"
             _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
-            raise type(error)(f"{error}; {saved_line(status)}") from error
+            raise type(error)(_last_line(error, status)) from error
         _end(recording, State.FINISHED, "info", saved_line(status))
         recording.tell("info", saved_line(status))
     return status
@@ -122,8 +125,6 @@ def _warn(recording: Recording, space: DiskSpace) -> None:
 
 def _go_on(earlier: Resumption, recording: Recording, versions: dict[str, str]) -> None:
     """Put the resumed session in its place and tell what it holds."""
-    status = recording.status
-    status.saved, status.earlier_s = earlier.recovery.n_accepted, earlier.recovery.duration_s
     for line in earlier.take_place(versions):
         recording.tell("info", line)
 
@@ -147,9 +148,34 @@ def saved_line(status: Status) -> str:
     return f"{poses} saved in {status.file} ({minutes}:{seconds:02d} of audio, {len(status.channels)} channels)"
 
 
+def _last_line(error: Exception, status: Status) -> str:
+    """Say how the capture ended, what is in the file, and how to go on."""
+    line = f"{error}; {saved_line(status)}"
+    return line if "--resume" in line else f"{line}; go on with --resume"
+
+
 @contextmanager
-def _opened(rig: Rig) -> Iterator[dict[str, str]]:
-    """Open the devices, audio last so that little of it waits, and give the versions of everything."""
+def _telling_what_is_saved(status: Status) -> Iterator[None]:
+    """Say what is in the file where the disk refuses, or a second Ctrl-C ends the program at once."""
+    try:
+        yield
+    except (KeyboardInterrupt, SessionWriteError) as error:
+        ending = InterruptedCaptureError if isinstance(error, KeyboardInterrupt) else SessionWriteError
+        what = ending(str(error) or "interrupted at once")
+        raise ending(_last_line(what, status) if Path(status.file).exists() else str(what)) from error
+
+
+@contextmanager
+def _opened(rig: Rig, stop_wanted: Callable[[], bool], remedy: str) -> Iterator[dict[str, str]]:
+    """Open the devices, audio last so that little of it waits, and give the versions of everything.
+
+    `remedy` is told as well where a device is missing.
+    """
+
+    def glance() -> None:
+        if stop_wanted():
+            raise InterruptedCaptureError("interrupted before the devices were open: nothing was recorded")
+
     versions = {
         "acoustic-camera-rig": __version__,
         "python": platform.python_version(),
@@ -161,7 +187,10 @@ def _opened(rig: Rig) -> Iterator[dict[str, str]]:
     with ExitStack() as stack:
         for part, device in (("trigger", rig.trigger), ("camera", rig.camera), ("audio", rig.audio)):
             stack.callback(device.close)
-            versions[part] = device.open()
+            try:
+                versions[part] = rig.clock.wait_for(device.open, glance)
+            except DeviceError as error:
+                raise DeviceError(f"{error}{remedy}") from error
         yield versions
 
 

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import sys
+import shlex
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unicodedata import category
 
 import click
 
-from rigs.command import run
+from rigs.command import leave, run
 
 if TYPE_CHECKING:
+    from acquire.status import Status
     from rigs.library import FoundDescription
 
 _TONE_WARNING = (
     "warning: signal.kind tone: arrivals of a steady tone are ambiguous, and rig-calibrate takes none of them; "
     "use sweep or mls"
 )
+
+_UNSEEN = {"Cc", "Cs", "Zl", "Zp"}  # Unicode's control signs, halves of signs, ends of lines and paragraphs
 
 
 def _list_devices(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
@@ -75,11 +79,10 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
     from acquire.screen import screen_for
     from rigs.library import find_description
 
-    named = session.name not in ("", "..") and session.suffix != ".h5"
-    path = session.with_name(f"{session.name}.h5") if named else session
+    path = _session_path(session)
     if resumes:
         earlier = look_into(path, find_description(rig) if rig else None, seed)
-        found, seed = earlier.found, earlier.seed
+        found, seed, poses = earlier.found, earlier.seed, poses or earlier.poses
     else:
         _check_new(path)
         found = find_description(rig)
@@ -90,8 +93,23 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
     with stop_on_signals() as stop_wanted, screen_for(console) as screen:
         status = capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted, resumes=resumes)
     with suppress(SystemExit):  # rich's answer to a broken pipe: nobody reads this any more
-        console.print(_next_line(status.saved, found.description.min_poses, path), soft_wrap=True, markup=False)
+        for line in (*_fault_lines(status), _next_line(status.saved, found.description.min_poses, path)):
+            console.print(line, soft_wrap=True, markup=False)
     return 0
+
+
+def _session_path(session: Path) -> Path:
+    """Return the file that --session means; a name that no terminal can show is refused."""
+    from rigs.errors import TargetError
+
+    if any(category(sign) in _UNSEEN for sign in str(session)):
+        raise click.BadParameter(
+            f"{str(session)!a} has a sign that cannot be shown, such as a line's end: choose another name",
+            param_hint="--session",
+        )
+    if session.name in ("", ".."):
+        raise TargetError(f"{session}: a folder, not a file: name a file")
+    return session if session.suffix == ".h5" else session.with_name(f"{session.name}.h5")
 
 
 def _check_new(path: Path) -> None:
@@ -116,9 +134,21 @@ def _rig_line(found: FoundDescription) -> str:
 def _next_line(n_saved: int, n_needed: int, path: Path) -> str:
     if n_saved < n_needed:
         return f"next: capture a session with more poses: rig-calibrate needs at least {n_needed} poses, 25 are good"
-    return f"next: rig-calibrate {path}"
+    shown = f"./{path}" if str(path).startswith("-") else str(path)
+    return f"next: rig-calibrate {shlex.quote(shown)}"
+
+
+def _fault_lines(status: Status) -> list[str]:
+    """Say which channels were at fault until the end; rig-calibrate may refuse them."""
+    from acquire.status import CHANNEL_REMEDIES
+
+    return [
+        f"warning: channel {channel} was {kind} until the end: {CHANNEL_REMEDIES[kind]}; or leave it out: "
+        f"rig-calibrate --exclude-channel {channel}"
+        for channel, kind in status.faults.items()
+    ]
 
 
 def main() -> None:
     """Run `rig-capture`."""
-    sys.exit(run("rig-capture", cli))
+    leave(run("rig-capture", cli))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from acquire.devices.base import AudioBlock, ClockFit, EmissionStart, TriggerBoard
+from acquire.devices.base import AudioBlock, ClockFit, EmissionStart, Ping
 from acquire.latency import Latency
 from acquire.sample_clock import SampleClock
 from rigs.description import RigDescription
@@ -61,6 +62,13 @@ class Clocks:
             self._samples.restart()
         return self._samples.add(first_sample, block.host_time_s)
 
+    def missing_s(self, first_sample: int, block: AudioBlock) -> float:
+        """Return how much sound (s) is missing before a block that says so; 0 where it does not, or nobody knows."""
+        if not block.flags & (layout.FLAG_OVERFLOW | layout.FLAG_GAP):
+            return 0.0
+        sample = self._samples.sample_at(block.host_time_s)
+        return 0.0 if sample is None else max(0.0, (sample - first_sample) / self._nominal_hz)
+
     def predict(self, start: EmissionStart) -> Prediction | None:
         """Return where in the recording an emission should begin, latency left out; None when that is unknown."""
         sample, fit = self._samples.sample_at(start.host_time_s), self._samples.fit()
@@ -68,13 +76,13 @@ class Clocks:
             return None
         return Prediction(sample, math.hypot(fit.std_s, start.host_std_s))
 
-    def store(self, trigger: TriggerBoard) -> None:
-        """Read the board's clock, and store its readings and both lines as they are now. Raises as `read_clock`."""
-        for ping in trigger.read_clock():
+    def store(self, pings: Sequence[Ping], board: ClockFit) -> None:
+        """Store readings of the board's clock, and both lines as they are now."""
+        for ping in pings:
             self._writer.append_ping(
                 earliest_host_time_s=ping.earliest_s, latest_host_time_s=ping.latest_s, board_time_s=ping.board_s
             )
-        self._store_fit(layout.CLOCK_BOARD, trigger.clock_fit())
+        self._store_fit(layout.CLOCK_BOARD, board)
         self._store_fit(layout.CLOCK_AUDIO, self._samples.fit())
 
     def store_camera(self, host_time_s: float) -> None:

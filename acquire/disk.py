@@ -7,6 +7,7 @@ from pathlib import Path
 
 from acquire.errors import DiskShortError
 from rigs.description import RigDescription
+from rigs.errors import TargetError
 
 _RESERVE_BYTES = 64_000_000
 _RESERVE_S = 10.0
@@ -31,11 +32,20 @@ class DiskSpace:
         self._session_bytes = session_bytes(description)
         self._reserve_bytes = _RESERVE_BYTES + _RESERVE_S * _bytes_per_s(description)
 
-    def check(self) -> None:
-        """Raise DiskShortError where less is left than it takes to close the session well."""
-        free_bytes = _free_bytes(self._path)
-        if free_bytes < self._reserve_bytes:
-            raise DiskShortError(f"{self._path}: the disk is nearly full ({_in_words(free_bytes)} left): {_REMEDY}")
+    def check(self, also_bytes: int = 0) -> None:
+        """Raise DiskShortError where less is left than it takes to close the session well.
+
+        Parameters
+        ----------
+        also_bytes : int
+            What will be written before, such as a copy.
+        """
+        free_bytes, needed_bytes = _free_bytes(self._path), self._reserve_bytes + also_bytes
+        if free_bytes < needed_bytes:
+            raise DiskShortError(
+                f"{self._path}: the disk is nearly full ({_in_words(free_bytes)} left, at least "
+                f"{_in_words(needed_bytes)} needed): {_REMEDY}"
+            )
 
     def doubt(self) -> str | None:
         """Say that the session may not fit; None where it most likely does."""
@@ -63,7 +73,10 @@ def _bytes_per_s(description: RigDescription) -> float:
 
 
 def _free_bytes(path: Path) -> int:
-    return shutil.disk_usage(path.parent).free
+    usage = shutil.disk_usage(path.parent)
+    if usage.total == usage.free == 0:
+        raise TargetError(f"{path}: {path.parent} is no disk: choose another folder")
+    return usage.free
 
 
 def _in_words(n_bytes: float) -> str:

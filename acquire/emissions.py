@@ -15,6 +15,7 @@ from acquire.errors import DeviceLostError, DeviceRestartedError, losing
 from acquire.latency import WIDE_WINDOW_S
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
+from acquire.soundtrack import VOID
 from acquire.status import State
 from rigs.description import RigDescription
 
@@ -106,7 +107,7 @@ class Emissions:
 
     def _shoot(self, buzzer: int) -> Shot:
         recording, status = self._recording, self._recording.status
-        status.state, losses = State.FIRING, recording.sound.losses
+        status.state, losses = State.FIRING, recording.sound.losses.n
         start = self._started(buzzer)
         recording.record(self._waveform.duration_s + self._description.signal.gap_s)
         has_restarted = self._has_restarted()
@@ -114,7 +115,7 @@ class Emissions:
         if prediction is not None:
             self._wait_for(prediction, self._clocks.latency.window_s()[1])
         status.state = State.CHECKING
-        if prediction is None or recording.sound.losses > losses:
+        if prediction is None or recording.sound.losses.n > losses:
             return Shot(start, "audio was lost while it sounded")
         if has_restarted:
             return Shot(start, "the board restarted while it sounded")
@@ -124,7 +125,7 @@ class Emissions:
         while True:
             try:
                 with losing("trigger"):
-                    return self._trigger.play(buzzer, self._waveform)
+                    return self._recording.attend("trigger", lambda: self._trigger.play(buzzer, self._waveform))
             except DeviceRestartedError as error:
                 self._reconnection.restore(DeviceLostError(str(error), "trigger"))
 
@@ -132,10 +133,11 @@ class Emissions:
         """Read the board's clock; where the board has restarted, nobody knows what it has played."""
         try:
             with losing("trigger"):
-                self._clocks.store(self._trigger)
+                pings = self._recording.attend("trigger", self._trigger.read_clock)
         except DeviceRestartedError as error:
             self._reconnection.restore(DeviceLostError(str(error), "trigger"))
             return True
+        self._clocks.store(pings, self._trigger.clock_fit())
         return False
 
     def _wait_for(self, prediction: Prediction, last_s: float) -> None:
@@ -228,6 +230,7 @@ class Emissions:
             self._recording.say("warning", f"{place}: {what}; firing it again")
             return
         remedy = "check its cable and plug" if what == "not heard" else "keep the room quiet and nothing else playing"
+        remedy = VOID if self._recording.sound.is_void else remedy
         self._recording.say(
             "warning", f"{place}: {what}, {self._limits.retries + 1} times: {remedy}; going on without it"
         )

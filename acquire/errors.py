@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+PARTS = {"trigger": "the trigger board", "audio": "the sound device", "camera": "the camera"}
+
 
 class CaptureError(Exception):
     """Base of all errors of the `acquire` package; `exit_code` is what the command line returns for it."""
@@ -35,10 +37,13 @@ class DeviceLostError(DeviceError):
 
 @contextmanager
 def losing(part: str) -> Iterator[None]:
-    """Take any error of a device for its loss, unless it has only restarted; `part` as in `DeviceLostError`."""
+    """Take any error of a device for its loss, unless it has only restarted, or another one is lost.
+
+    `part` is as in `DeviceLostError`.
+    """
     try:
         yield
-    except DeviceRestartedError:
+    except (DeviceRestartedError, DeviceLostError):
         raise
     except DeviceError as error:
         raise DeviceLostError(str(error), part) from error
@@ -52,6 +57,10 @@ class FirmwareError(CaptureError):
     """The trigger board's firmware does not fit this host."""
 
     exit_code = 4
+
+
+class UnknownFirmwareError(FirmwareError):
+    """What answers cannot be understood: another program, or a board that was held up and speaks in pieces."""
 
 
 class CaptureQualityError(CaptureError):

@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 from acquire.devices.base import Frame
 from acquire.emissions import ChannelFaults, Emissions
 from acquire.errors import CaptureQualityError, DeviceLostError
+from acquire.holdups import Cause
 from acquire.reconnection import Reconnection
 from acquire.recording import Recording
 from acquire.resume import Resumption
 from acquire.sharpness import edge_blur_px
-from acquire.status import State
+from acquire.soundtrack import VOID
+from acquire.status import CHANNEL_REMEDIES, State
 from acquire.stillness import Sight, StillBoard
 from rigs.board import find_corners, movement_px
 from rigs.description import RigDescription
@@ -33,10 +35,6 @@ _SHARPEN = f"{_ADVICE[Sight.BLURRED]}, or raise capture.max_blur_px if the lens 
 _TIMEOUT_REMEDIES = {Sight.MOVING: _STAND, Sight.SETTLING: _STAND, Sight.BLURRED: _SHARPEN}
 _UNHEARD = "no emission was good: check the buzzers' power and the microphones"
 _UNSURE = "its emissions disagree on the latency of the audio: keep the room quiet and nothing else playing"
-_CHANNEL_REMEDIES = {
-    "silent": "check its cable, power and mute switch; calibration cannot place it",
-    "clipped": "turn its gain down",
-}
 
 
 class Poses:
@@ -160,7 +158,7 @@ class Poses:
         for channel, kind in now.items():
             if self._status.faults.get(channel) != kind:
                 self._recording.say(
-                    "warning", f"channel {channel} is {kind} in every emission: {_CHANNEL_REMEDIES[kind]}"
+                    "warning", f"channel {channel} is {kind} in every emission: {CHANNEL_REMEDIES[kind]}"
                 )
         for channel in self._status.faults.keys() - now.keys():
             self._recording.say("info", f"channel {channel} is good again")
@@ -173,7 +171,8 @@ class Poses:
             self._unheard_poses = 0
             return True
         self._unheard_poses += 1
-        line = f"{self._status.pose_label()}: {_UNSURE if n_good else _UNHEARD}"
+        unheard = VOID if self._recording.sound.is_void else _UNHEARD
+        line = f"{self._status.pose_label()}: {_UNSURE if n_good else unheard}"
         if self._unheard_poses >= _MAX_UNHEARD_POSES:
             raise CaptureQualityError(f"{line}; given up after {_MAX_UNHEARD_POSES} times")
         self._recording.say("warning", f"{line}; the same place again")
@@ -194,7 +193,8 @@ class Poses:
         between, last = film.end(), self._recording.look()
         film.keep(last)
         for frame in (*between, last):
-            corners_px = find_corners(frame.image, self._board)
+            corners_px = self._found(frame)
+            self._recording.listen()
             moved_px = float("inf") if corners_px is None else movement_px(corners_px, first_px)
             if not moved_px < self._limits.still_px:
                 what = "was lost from sight" if corners_px is None else f"moved by {moved_px:.1f} px"
@@ -207,10 +207,15 @@ class Poses:
 
     def _look(self) -> tuple[Frame, FloatArray | None]:
         frame = self._recording.look()
-        return frame, find_corners(frame.image, self._board)
+        return frame, self._found(frame)
+
+    def _found(self, frame: Frame) -> FloatArray | None:
+        with self._recording.holdups.during(Cause.PICTURES):
+            return find_corners(frame.image, self._board)
 
     def _show(self, sight: Sight, figure_px: float) -> None:
         found = sight in (Sight.MOVING, Sight.SETTLING, Sight.BLURRED, Sight.STILL)
         self._status.state = State.SETTLING if found else State.WAITING
-        self._status.board = f"{sight.value} ({figure_px:.2f} px)" if found else sight.value
+        what = "blur" if sight in (Sight.BLURRED, Sight.STILL) else "moved by"
+        self._status.board = f"{sight.value} ({what} {figure_px:.2f} px)" if found else sight.value
         self._status.advice = _ADVICE[sight]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from acquire.errors import DeviceError, DeviceLostError
+from acquire.errors import PARTS, CaptureError, DeviceError, DeviceLostError, FirmwareError, UnknownFirmwareError
 from acquire.recording import Recording
 from acquire.status import State
 from rigs.description import RigDescription
 
 _RETRY_S = 0.5
 _MAX_LOSSES = 5  # without a good pose in between: a loose contact, which waiting does not mend
-_NAMES = {"trigger": "the trigger board", "audio": "the sound device", "camera": "the camera"}
 
 
 class Reconnection:
@@ -40,7 +39,7 @@ class Reconnection:
             What came back is another trigger board.
         InterruptedCaptureError, DiskShortError
         """
-        name, status = _NAMES[loss.part], self._recording.status
+        name, status = PARTS[loss.part], self._recording.status
         state, advice, status.advice = status.state, status.advice, f"{name}: check its cable"
         status.state = State.RECONNECTING
         self._losses += 1
@@ -55,16 +54,19 @@ class Reconnection:
     def _opened(self, loss: DeviceLostError) -> str:
         device, clock = getattr(self._recording.rig, loss.part), self._recording.rig.clock
         end_s = clock.now_s() + self._wait_s
-        while True:
+
+        def opened() -> str:
             device.close()
+            return str(device.open())
+
+        while True:
             try:
-                return str(device.open())
-            except DeviceError as refusal:
+                return self._recording.attend(loss.part, opened, is_open=False)
+            except DeviceLostError as another:
+                self.restore(another)
+            except (DeviceError, UnknownFirmwareError) as refusal:
                 if clock.now_s() >= end_s:
-                    raise DeviceError(
-                        f"{_NAMES[loss.part]} did not come back within {self._wait_s:g} s, go on with --resume when it "
-                        f"is there: {refusal}"
-                    ) from loss
+                    raise _given_up(refusal, loss, self._wait_s) from loss
             self._wait(loss)
 
     def _wait(self, loss: DeviceLostError) -> None:
@@ -75,3 +77,10 @@ class Reconnection:
             self._recording.record(_RETRY_S)
         except DeviceLostError as another:
             self.restore(another)
+
+
+def _given_up(refusal: DeviceError | UnknownFirmwareError, loss: DeviceLostError, wait_s: float) -> CaptureError:
+    kind = FirmwareError if isinstance(refusal, UnknownFirmwareError) else DeviceError
+    return kind(
+        f"{PARTS[loss.part]} did not come back within {wait_s:g} s, go on with --resume when it is there: {refusal}"
+    )

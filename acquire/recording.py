@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
+from acquire.attendance import Attendance
 from acquire.clocks import Clocks
 from acquire.devices.base import Frame, Rig
 from acquire.disk import DiskSpace
 from acquire.errors import InterruptedCaptureError, losing
 from acquire.film import Film
+from acquire.holdups import Cause, HoldUps
 from acquire.screen import Screen
 from acquire.soundtrack import Soundtrack
 from acquire.status import Message, Status
 from rigs.description import RigDescription
 from rigs.session.writer import SessionWriter
 
+T = TypeVar("T")
 _STEP_S = 0.1
 _FLUSH_S = 1.0
 _LATE_S = 2.0  # a device that is later than that has lost the sound
@@ -41,6 +45,7 @@ class Recording:
     clocks : Clocks
     sound : Soundtrack
     film : Film
+    holdups : HoldUps
     """
 
     def __init__(
@@ -54,8 +59,9 @@ class Recording:
     ) -> None:
         self.rig, self.writer, self.status = rig, writer, status
         self._screen, self._stop_wanted = screen, stop_wanted
+        self.holdups = HoldUps(rig.clock)
         self.clocks, self.film = Clocks(writer, description), Film(rig.camera, writer, description)
-        self.sound = Soundtrack(rig, writer, self.clocks, description, status, self.say)
+        self.sound = Soundtrack(rig, writer, self.clocks, description, status, self.say, self.holdups)
         self._disk = DiskSpace(Path(status.file), description)
         self._start_s = self._flushed_s = rig.clock.now_s()
 
@@ -90,6 +96,35 @@ class Recording:
         self._watch()
         self._go_on()
 
+    def attend(self, part: str, call: Callable[[], T], *, is_open: bool = True) -> T:
+        """Return what a device's call returns, and store what the others deliver while it waits.
+
+        Parameters
+        ----------
+        part : str
+            The device: "trigger", "audio" or "camera".
+        call : callable
+        is_open : bool
+            False while the device is being opened, so that it delivers nothing.
+
+        Raises
+        ------
+        DeviceError
+            What the call raised.
+        DeviceLostError
+            Another device was lost meanwhile.
+        DiskShortError, InterruptedCaptureError
+            At once; nobody waits for the call any longer.
+        """
+        takes = {"audio": self.sound.take, "camera": self._watch}
+        if not is_open:
+            takes.pop(part, None)
+        attendance = Attendance(self.status, self.rig.clock, part, [*takes.values(), self._go_on])
+        with attendance:
+            outcome = self.rig.clock.wait_for(call, attendance.glance)
+        attendance.check()
+        return outcome
+
     def idle(self, duration_s: float) -> None:
         """Let time pass without a sound device. Raises as `listen` does, but for the sound device."""
         self.rig.clock.sleep_s(duration_s)
@@ -98,14 +133,13 @@ class Recording:
 
     def reopened(self, part: str) -> None:
         """Take note that a device was lost and is open again: "trigger", "audio" or "camera"."""
-        self.sound.excuse()
         if part == "audio":
             self.sound.reopened()
 
     def look(self) -> Frame:
         """Return the camera's next frame. Raises DeviceLostError, and as `listen` does."""
         with losing("camera"):
-            frame = self.rig.camera.read()
+            frame = self.attend("camera", self.rig.camera.read)
         self.listen()
         return frame
 
@@ -126,7 +160,8 @@ class Recording:
 
     def flush(self) -> None:
         """Bring everything recorded so far safely into the file."""
-        self.writer.flush()
+        with self.holdups.during(Cause.DISK):
+            self.writer.flush()
         self._flushed_s = self.rig.clock.now_s()
 
     def _watch(self) -> None:

@@ -22,7 +22,8 @@ from rigs.session.wreck import Wreck
 from rigs.session.writer import SessionWriter
 
 FloatArray = NDArray[np.float64]
-SEED = "simulation seed"  # its name among the versions of a session
+SEED, POSES = "simulation seed", "poses wanted"  # their names among the versions of a session
+_ADDRESSES = (("trigger", "port"), ("camera", "source"), ("audio", "device"))  # may change when something is replugged
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,16 @@ class Earlier:
     Parameters
     ----------
     found : FoundDescription
-        The rig description in the file.
+        The rig description in the file, with the addresses of the devices as they are now.
     seed : int or None
         Of the simulated rig.
+    poses : int or None
+        How many were wanted, where the session tells.
     """
 
     found: FoundDescription
     seed: int | None
+    poses: int | None
 
 
 @dataclass(frozen=True)
@@ -53,17 +57,21 @@ class Resumption:
         What the copy holds.
     corners_px : list of (n_corners, 2) arrays
         Of the board at each good pose, as far as a picture of it is left.
+    moved : list of str
+        Which device has which other address now.
     """
 
     writer: SessionWriter
     recovery: Recovery
     corners_px: list[FloatArray]
+    moved: list[str]
 
     def take_place(self, versions: dict[str, str]) -> list[str]:
         """Put the copy where the old file is, and return in words what happened."""
         kept = self.writer.replace(keep=bool(self.recovery.dropped))
         self.writer.mark_resumed()
-        lines = [f"resumed after {self.recovery.kept()}", *(f"dropped: {each}" for each in self.recovery.dropped)]
+        lines = [f"resumed after {self.recovery.kept()}", *self.moved]
+        lines += [f"dropped: {each}" for each in self.recovery.dropped]
         if kept is not None:
             lines.append(f"the file as it was is kept as {kept.name}")
         for line in (*lines, *(f"resumed with {part} {version}" for part, version in versions.items())):
@@ -72,7 +80,9 @@ class Resumption:
 
 
 def look_into(path: Path, named: FoundDescription | None, seed: int | None) -> Earlier:
-    """Return the rig that a session was begun with; it must be the one that is named now.
+    """Return the rig that a session was begun with; it must be the one that is named now, but for addresses.
+
+    A board at another port, a camera at another source and a sound device of another name may be the same ones.
 
     Parameters
     ----------
@@ -90,19 +100,21 @@ def look_into(path: Path, named: FoundDescription | None, seed: int | None) -> E
         Not a session, being recorded, or beyond recovery.
     """
     with Wreck.open(path) as wreck:
-        if named is not None and (difference := _difference(named.description, wreck.description)):
+        description = wreck.description if named is None else _readdressed(wreck.description, named.description)
+        if named is not None and (difference := _difference(named.description, description)):
             raise RigError(
                 f"{named.where}: not the rig of {path}: {difference}; go on without --rig, or begin another session"
             )
-        begun_with = wreck.header.versions.get(SEED)
-        old = int(begun_with) if begun_with and begun_with.isdecimal() else None
+        old, poses = (_number(wreck.header.versions.get(key, "")) for key in (SEED, POSES))
         if None not in (old, seed) and old != seed:
             raise RigError(f"{path}: began with --seed {old}, so it cannot go on with --seed {seed}: leave it out")
-        found = FoundDescription(wreck.header.description_text, wreck.description, str(path), "--resume")
-        return Earlier(found, old if seed is None else seed)
+        found = FoundDescription(wreck.header.description_text, description, str(path), "--resume")
+        return Earlier(found, old if seed is None else seed, poses)
 
 
-def resume(path: Path, truth: Truth | None, n_poses: int, watch: Watch = unwatched) -> Resumption:
+def resume(
+    path: Path, truth: Truth | None, description: RigDescription, n_poses: int, watch: Watch = unwatched
+) -> Resumption:
     """Copy a session to a hidden file beside it, ready to be appended to; the session itself is not touched.
 
     Parameters
@@ -110,6 +122,8 @@ def resume(path: Path, truth: Truth | None, n_poses: int, watch: Watch = unwatch
     path : Path
     truth : Truth or None
         Of the simulated rig that goes on.
+    description : RigDescription
+        With the addresses of its devices as they are now.
     n_poses : int
         How many good poses are wanted in all.
     watch : callable
@@ -128,10 +142,12 @@ def resume(path: Path, truth: Truth | None, n_poses: int, watch: Watch = unwatch
             raise RigError(f"{path}: has {n_good} good poses already: ask for more with --poses")
         check_room(path, path)
         header = replace(copied_header(wreck), recovered="", truth=_joined(truth, wreck.header.truth, path))
+        header = replace(header, versions={**header.versions, POSES: str(n_poses)})
         writer = SessionWriter.begin(path, header, wreck.n_channels)
         try:
             recovery = copy(wreck, writer, watch)
-            return Resumption(writer, recovery, _good_corners_px(wreck, recovery.n_accepted))
+            moved = _moved(wreck.description, description)
+            return Resumption(writer, recovery, _good_corners_px(wreck, recovery.n_accepted), moved)
         except BaseException:
             writer.discard()
             raise
@@ -167,6 +183,29 @@ def _corners_px(wreck: Wreck, frame: np.void) -> FloatArray | None:
         return find_corners(picture.decode(png, str(wreck.path)), wreck.description.board)
     except SessionError:
         return None
+
+
+def _number(text: str) -> int | None:
+    return int(text) if text.isdecimal() else None
+
+
+def _readdressed(description: RigDescription, now: RigDescription) -> RigDescription:
+    """Return a rig with the addresses that its devices have in another description."""
+    sections = {}
+    for section, key in _ADDRESSES:
+        value = getattr(getattr(now, section), key)
+        sections[section] = getattr(description, section).model_copy(update={key: value})
+    return description.model_copy(update=sections)
+
+
+def _moved(old: RigDescription, new: RigDescription) -> list[str]:
+    """Say in words which device has which other address now."""
+    lines = []
+    for section, key in _ADDRESSES:
+        before, now = (rig.model_dump(mode="json")[section][key] for rig in (old, new))
+        if before != now:
+            lines.append(f"{section}.{key} is now {now!r}, it was {before!r}")
+    return lines
 
 
 def _difference(new: RigDescription, old: RigDescription) -> str:

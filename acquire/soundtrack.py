@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from acquire.clocks import Clocks
 from acquire.devices.base import AudioBlock, Rig
 from acquire.errors import DeviceLostError, losing
+from acquire.holdups import REMEDIES, Cause, HoldUps
+from acquire.losses import Losses
 from acquire.status import Status
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
@@ -22,6 +24,11 @@ _FIRST_BLOCK_S = 2.0
 _COMPLAIN_S = 30.0
 _SLOW_SETTLING_S = 5.0  # stamps that are good from the first one are known to be after 3 s
 _SETTLING_S = 15.0
+_VOID_S = 2.0  # microphones always deliver some noise
+VOID = (
+    "all microphones deliver digital silence: unmute the sound device, switch on its phantom power, or correct "
+    "audio.device and audio.channels"
+)
 
 
 class Soundtrack:
@@ -38,11 +45,11 @@ class Soundtrack:
     status : Status
     say : callable
         Tells the operator and the log: level and text.
+    holdups : HoldUps
 
     Attributes
     ----------
-    losses : int
-        How often audio was lost so far.
+    losses : Losses
     """
 
     def __init__(
@@ -53,16 +60,19 @@ class Soundtrack:
         description: RigDescription,
         status: Status,
         say: Callable[[str, str], None],
+        holdups: HoldUps,
     ) -> None:
         self._audio, self._clock = rig.audio, rig.clock
         self._writer, self._clocks, self._status, self._say = writer, clocks, status, say
-        self.losses = 0
+        self._holdups, self.losses = holdups, Losses(say)
         self._sample_rate_hz = float(description.audio.sample_rate_hz)
+        self._n_microphones = len(description.audio.microphone_channels())
+        self._void_s, self._is_void_told = 0.0, False
         signal = description.signal
         self._keep_samples = round((2 * signal.gap_s + signal.waveform().duration_s + 3) * self._sample_rate_hz)
         self._blocks: deque[tuple[int, NDArray[np.float32]]] = deque()
         self._complained_s = float("-inf")
-        self._is_gap = self._is_excused = False
+        self._is_gap = False
         self._is_ready = self._is_awaited = False
         self._begin()
 
@@ -71,18 +81,22 @@ class Soundtrack:
         self._is_gap = True
         self._begin()
 
-    def excuse(self) -> None:
-        """Take note that the capture was busy for seconds, in which audio had to wait."""
-        self._is_excused = True
-
     def take(self) -> None:
         """Store the audio that has come in. Raises DeviceLostError where the device failed or fell silent."""
         with losing("audio"):
             blocks = self._audio.read()
+        if blocks:
+            self._note_backlog(blocks)
         for block in blocks:
             self._store(block)
-        self._note_backlog(blocks)
+        self._note_void()
+        self.losses.pass_over(self._writer.n_samples / self._sample_rate_hz)
         self._check_mute()
+
+    @property
+    def is_void(self) -> bool:
+        """No microphone has delivered anything but zeros for a while."""
+        return self._void_s > _VOID_S
 
     def is_ready(self) -> bool:
         """Tell whether sound can be placed: its stamps have settled since the device was opened, or never do."""
@@ -116,6 +130,7 @@ class Soundtrack:
         self._opened_s = self._heard_s = self._clock.now_s()
         self._mute_s = _FIRST_BLOCK_S
         self._is_ready = self._is_awaited = False
+        self._is_excused = True  # what came while the capture was set up had to wait
 
     def _store(self, block: AudioBlock) -> None:
         if not len(block.samples):
@@ -124,41 +139,44 @@ class Soundtrack:
         was_gone, self._is_gap = self._is_gap, False
         if was_gone:
             block = replace(block, flags=block.flags | FLAG_GAP)
-        step_s = self._clocks.hear(first_sample, block)
+        missing_s, step_s = self._clocks.missing_s(first_sample, block), self._clocks.hear(first_sample, block)
         flags = block.flags | (FLAG_GAP if step_s is not None else 0)
-        self._writer.append_audio(
-            block.samples, host_time_s=block.host_time_s, adc_time_s=block.adc_time_s, flags=flags
-        )
+        with self._holdups.during(Cause.DISK):
+            self._writer.append_audio(
+                block.samples, host_time_s=block.host_time_s, adc_time_s=block.adc_time_s, flags=flags
+            )
         if flags & (FLAG_OVERFLOW | FLAG_GAP):
-            self._note_loss(first_sample, _why_lost(block.flags, step_s, was_gone=was_gone))
+            self._clocks.latency.forget()  # stamps that step may mean that the audio path has changed
+            lost_s = step_s if step_s is not None else missing_s
+            self.losses.note(
+                first_sample / self._sample_rate_hz, lost_s, _why_lost(block.flags, step_s, was_gone=was_gone)
+            )
         self._heard_s, self._mute_s = self._clock.now_s(), _MUTE_S
+        has_sound = bool(block.samples[:, : self._n_microphones].any())
+        self._void_s = 0.0 if has_sound else self._void_s + len(block.samples) / self._sample_rate_hz
         self._status.hear(block.samples, len(block.samples) / self._sample_rate_hz)
         self._hold(first_sample, block.samples)
+
+    def _note_void(self) -> None:
+        if self.is_void and not self._is_void_told:
+            self._say("warning", VOID)
+        self._is_void_told = self.is_void
 
     def _hold(self, first_sample: int, samples: NDArray[np.float32]) -> None:
         self._blocks.append((first_sample, samples))
         while first_sample - self._blocks[0][0] > self._keep_samples:
             self._blocks.popleft()
 
-    def _note_loss(self, sample: int, why: str) -> None:
-        self.losses += 1
-        self._clocks.latency.forget()  # stamps that step may mean that the audio path has changed
-        where = f"before {sample / self._sample_rate_hz:.1f} s of the recording"
-        self._say("warning", why.format(where=where))
-
     def _note_backlog(self, blocks: list[AudioBlock]) -> None:
-        if not blocks:
-            return
         waited_s = sum(len(block.samples) for block in blocks) / self._sample_rate_hz
         self._status.backlog_s = waited_s
-        now_s, excused = self._clock.now_s(), self._is_excused
+        now_s, excused, cause = self._clock.now_s(), self._is_excused, self._holdups.blame()
         self._is_excused = False
         if self._status.is_behind and not excused and now_s - self._complained_s > _COMPLAIN_S:
             self._complained_s = now_s
             self._say(
                 "warning",
-                f"{waited_s:.1f} s of audio had to wait, nothing of it is lost: the disk or the computer is too slow; "
-                "close other programs or record to another disk",
+                f"{waited_s:.1f} s of audio had to wait for {cause}, nothing of it is lost: {REMEDIES[cause]}",
             )
 
     def _check_mute(self) -> None:
@@ -173,8 +191,8 @@ class Soundtrack:
 
 def _why_lost(flags: int, step_s: float | None, *, was_gone: bool) -> str:
     if was_gone:
-        return "audio is missing {where}: the sound device was gone"
+        return "the sound device was gone"
     if step_s is not None and step_s < 0:
-        return f"the host's clock jumped by {-step_s:.2f} s {{where}}: did the computer sleep?"
+        return f"the host's clock jumped by {-step_s:.2f} s: did the computer sleep?"
     who = "the sound device" if flags & (FLAG_OVERFLOW | FLAG_GAP) else "the clock"
-    return f"{who} says audio was lost {{where}}: close other programs if it happens again"
+    return f"{who} says so; close other programs if it happens again"

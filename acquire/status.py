@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 QUIET_DBFS = -90.0
 _FALL_DB_PER_S = 30.0
+CHANNEL_REMEDIES = {
+    "silent": "check its cable, power and mute switch; calibration cannot place it",
+    "clipped": "turn its gain down",
+}
 _BEHIND_S = 1.0  # audio that waited longer than this tells of a slow disk
 
 

@@ -1,19 +1,15 @@
-"""Where in the sound each emission arrives: a compressed pulse per channel, and its first strong peak.
+"""A first look at where emissions arrive, before anything is known of how the buzzers sound.
 
 The emitted waveform is known, so each channel is divided by it (with a floor): 100 ms of sweep become a pulse of a few
-tenths of a millisecond per path. The direct path is the first strong one; a gate around it keeps the room out.
+tenths of a millisecond per path. The direct path is the first strong one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import hilbert
+from scipy.fft import ifft
 
-from calib.tdoa import Whitening
 from rigs.waveform import Waveform
 
 FloatArray = NDArray[np.float64]
@@ -21,82 +17,70 @@ FloatArray = NDArray[np.float64]
 SPECTRUM_FLOOR = 0.02  # of the template's strongest bin
 FIRST_PEAK_SHARE = 0.5  # a path this strong, of the strongest, may be the direct one
 MIN_PEAK_RATIO = 6.0  # of the peak over the pulse's root mean square elsewhere: chance gives about 4.5
-GATE_BEFORE_S = 0.5e-3
-GATE_AFTER_S = 1.0e-3
-GATE_TAPER_S = 0.25e-3
-
-
-@dataclass(frozen=True)
-class Arrivals:
-    """The direct paths of one emission.
-
-    Parameters
-    ----------
-    peak_samples : (n_channels,) array
-        Where each pulse peaks, in samples of the window; NaN where nothing was heard.
-    peak_ratio : (n_channels,) array
-        Peak over the root mean square of the rest.
-    gated : (n_channels, n_samples) array
-        The pulses, silent but for the gate around each peak, on one common time axis.
-    """
-
-    peak_samples: FloatArray
-    peak_ratio: FloatArray
-    gated: FloatArray
-
-    def cut_out(self) -> FloatArray:
-        """Return the shortest stretch (n_channels, n) that holds all gates: less to transform, same time axis."""
-        loud = np.flatnonzero(self.gated.any(axis=0))
-        return self.gated[:, loud[0] : loud[-1] + 1]
+MARGIN_BEFORE_S, MARGIN_AFTER_S = 0.5e-3, 1.0e-3  # from the window's ends
+SAMPLES_PER_POINT = 2  # of an envelope: it has no negative frequencies, so half the points hold it
 
 
 class PulseCompressor:
-    """Turns an emission window into pulses (made once per waveform and window length)."""
+    """Finds the direct paths of emissions in the spectra of their windows.
+
+    Parameters
+    ----------
+    waveform : Waveform
+    sample_rate_hz : float
+    n_samples : int
+        Length of a window, even.
+    max_tdoa_s : float
+        So long before the strongest path the direct one may come.
+
+    Attributes
+    ----------
+    played : (n_samples // 2 + 1,) array
+        Spectrum of the waveform.
+    """
 
     def __init__(self, waveform: Waveform, sample_rate_hz: float, n_samples: int, max_tdoa_s: float) -> None:
-        self.sample_rate_hz = sample_rate_hz
-        self.n_samples = n_samples
-        self.max_tdoa_samples = max_tdoa_s * sample_rate_hz
-        self.whitening = Whitening(_usable_band_hz(waveform), sample_rate_hz)
-        template = waveform.sampled(sample_rate_hz)
-        self._n_template = len(template)
-        self._n_fft = next_fast_len(n_samples + len(template), real=True)
-        spectrum = rfft(template, n=self._n_fft)
+        self.played = waveform.spectrum(n_samples, sample_rate_hz)
+        self._n_points = n_samples // SAMPLES_PER_POINT
+        self._reach = round(max_tdoa_s * sample_rate_hz / SAMPLES_PER_POINT)
+        n_played = round(waveform.duration_s * sample_rate_hz)
+        self._begin = MARGIN_BEFORE_S * sample_rate_hz
+        self._end = n_samples - n_played - MARGIN_AFTER_S * sample_rate_hz
+        spectrum = self.played[: self._n_points]
+        frequencies_hz = np.asarray(sample_rate_hz / n_samples * np.arange(self._n_points), dtype=float)
         power = np.abs(spectrum) ** 2
-        frequencies_hz = np.asarray(np.fft.rfftfreq(self._n_fft, 1 / sample_rate_hz), dtype=float)
-        in_band = _soft_band(frequencies_hz, self.whitening.band_hz)
-        self._inverse = in_band * np.conj(spectrum) / (power + SPECTRUM_FLOOR * power.max())
+        inverse = _soft_band(frequencies_hz, _usable_band_hz(waveform)) * np.conj(spectrum)
+        self._inverse = (inverse / (power + SPECTRUM_FLOOR * power.max())).astype(np.complex64)
 
-    def arrivals(self, window: NDArray[np.float32]) -> Arrivals:
-        """Find the direct paths in a window (n_samples, n_channels)."""
-        pulses = irfft(rfft(window.T.astype(float), n=self._n_fft, axis=1) * self._inverse, n=self._n_fft, axis=1)
-        pulses = pulses[:, : self.n_samples]
-        envelopes = np.abs(hilbert(pulses, axis=1))
-        peaks, ratios = self._first_strong_peaks(envelopes)
-        before, after = GATE_BEFORE_S * self.sample_rate_hz, GATE_AFTER_S * self.sample_rate_hz
-        whole = (peaks >= before) & (peaks <= self.n_samples - self._n_template - after)
-        heard = (ratios > MIN_PEAK_RATIO) & whole  # an emission that the window cuts off may have begun earlier
-        gated = np.where(heard[:, None], pulses * self._gates(peaks), 0.0)
-        return Arrivals(np.where(heard, peaks, np.nan), ratios, gated)
+    def first_look(self, spectra: NDArray[np.complex64]) -> tuple[FloatArray, FloatArray]:
+        """Find the direct paths in windows with spectra (n, n_channels, n_bins).
 
-    def _first_strong_peaks(self, envelopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        strongest = np.argmax(envelopes, axis=1)
-        heights = np.take_along_axis(envelopes, strongest[:, None], axis=1)
-        earliest = strongest - round(self.max_tdoa_samples)
-        samples = np.arange(envelopes.shape[1])
-        candidate = (envelopes > FIRST_PEAK_SHARE * heights) & (samples >= earliest[:, None])
-        rises = candidate & (envelopes >= np.roll(envelopes, 1, axis=1)) & (envelopes > np.roll(envelopes, -1, axis=1))
-        peaks = np.argmax(rises, axis=1)
-        noise = np.sqrt(np.mean(envelopes**2, axis=1))
-        ratios = np.take_along_axis(envelopes, peaks[:, None], axis=1)[:, 0] / np.maximum(noise, np.finfo(float).tiny)
-        return peaks.astype(float), ratios
+        Returns
+        -------
+        peak_samples : (n, n_channels) array
+            Where each pulse peaks, in samples of the window, to two samples; NaN where nothing was heard.
+        peak_ratio : (n, n_channels) array
+            Peak over the root mean square of the rest.
+        """
+        envelopes = np.abs(ifft(spectra[..., : self._n_points] * self._inverse, axis=2))
+        points, ratios = self._first_strong_peaks(envelopes)
+        peaks = float(SAMPLES_PER_POINT) * points
+        # an emission that the window cuts off may have begun earlier
+        heard = (ratios > MIN_PEAK_RATIO) & (peaks >= self._begin) & (peaks <= self._end)
+        return np.where(heard, peaks, np.nan), ratios
 
-    def _gates(self, peaks: FloatArray) -> FloatArray:
-        """Windows (n_channels, n_samples), flat around each peak with raised-cosine ends."""
-        time_s = (np.arange(self.n_samples) - peaks[:, None]) / self.sample_rate_hz
-        rise = np.clip((time_s + GATE_BEFORE_S) / GATE_TAPER_S, 0.0, 1.0)
-        fall = np.clip((GATE_AFTER_S - time_s) / GATE_TAPER_S, 0.0, 1.0)
-        return np.asarray(np.sin(np.pi / 2 * rise) ** 2 * np.sin(np.pi / 2 * fall) ** 2)
+    def _first_strong_peaks(self, envelopes: NDArray[np.float32]) -> tuple[NDArray[np.intp], FloatArray]:
+        strongest = np.argmax(envelopes, axis=2)
+        heights = np.take_along_axis(envelopes, strongest[..., None], axis=2)
+        places = np.clip(strongest[..., None] + np.arange(-self._reach - 1, 2), 0, envelopes.shape[2] - 1)
+        near = np.take_along_axis(envelopes, places, axis=2)
+        middle = near[..., 1:-1]
+        rises = (middle > FIRST_PEAK_SHARE * heights) & (middle >= near[..., :-2]) & (middle > near[..., 2:])
+        rises[..., -1] = True  # if nothing else, the strongest
+        first = np.take_along_axis(places[..., 1:-1], np.argmax(rises, axis=2)[..., None], axis=2)
+        height = np.take_along_axis(envelopes, first, axis=2)[..., 0]
+        noise = np.sqrt(np.mean(envelopes**2, axis=2))
+        return first[..., 0], height / np.maximum(noise, np.finfo(np.float32).tiny)
 
 
 def _usable_band_hz(waveform: Waveform) -> tuple[float, float]:

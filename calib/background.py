@@ -13,7 +13,7 @@ from calib.windows import EmissionWindows, RowArray
 
 FloatArray = NDArray[np.float64]
 
-MAX_WINDOWS = 120
+MAX_WINDOWS = 64
 SMOOTHING_BINS = 5
 TWIN_CORRELATION = 0.9999
 MAINS_HZ, N_HARMONICS = (50.0, 60.0), 6

@@ -20,7 +20,7 @@ from calib.flaws import Flaw, Flaws
 from calib.sound import SoundArrivals, TdoaMode
 from rigs import __version__
 
-VERSION = 2  # changes whenever arrivals come out differently
+VERSION = 3  # changes whenever arrivals come out differently
 SUFFIX = ".arrivals.npz"
 
 

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 import click
 
 from rigs.command import run
+from rigs.target import session_files
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calib.publication import Publication
     from calib.settings import Method, Settings
     from calib.sound import TdoaMode
 
@@ -26,7 +28,9 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("files", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
+@click.argument(
+    "files", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path), callback=session_files
+)
 @click.option(
     "--method",
     type=click.Choice(METHODS),
@@ -58,7 +62,14 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     "--hold",
     type=click.Choice(BLOCKS),
     multiple=True,
-    help="Joint holds this at what the rig description, or a fit to the corners alone, says (may be repeated).",
+    help="Joint holds this at what the rig description, or a fit to the corners alone, says, and takes it to be as "
+    "uncertain as that is (may be repeated).",
+)
+@click.option(
+    "--exact",
+    type=click.Choice(BLOCKS),
+    multiple=True,
+    help="Like --hold, but taken to be without any error: only if you know it to be (may be repeated).",
 )
 @click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
 @click.option(
@@ -83,6 +94,14 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 )
 @click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
+@click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
+@click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
+@click.option(
+    "--export",
+    metavar="NAMES",
+    help="Write files for other tools: all, or some of acoular,pyroomacoustics,odas,ros2,urdf,kalibr,matlab,csv,json. "
+    "With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
+)
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
     files: tuple[Path, ...],
@@ -95,6 +114,7 @@ def command(
     reference: int | None,
     exclude_channel: tuple[int, ...],
     hold: tuple[str, ...],
+    exact: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
     ignore_sync: bool,
@@ -102,16 +122,21 @@ def command(
     each: bool,
     cluster: str | None,
     compare: bool,
+    report: bool,
+    plots: str | None,
+    export: str | None,
 ) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
-    Several sessions of one rig are solved together. Writes SESSION.calib.yaml beside the (first) session, of several
-    SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good, 2 usage,
-    5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
+    Several sessions of one rig are solved together. Writes SESSION.calib.yaml and SESSION.report.html beside the
+    (first) session, of several SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good,
+    2 usage, 5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
+    from calib.export.formats import chosen_formats
     from calib.pipeline import calibrate, calibrate_together
+    from calib.publication import Publication
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from calib.settings import Settings
@@ -125,24 +150,56 @@ def command(
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
+    formats = chosen_formats(export)
+    if session.suffix in {".yaml", ".yml"}:
+        _export(files, output, overwrite, formats, console)
+        return None
     target = output or _result_path(files)
-    settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    settings = Settings(
+        method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync, exact
+    )
     if each:
         return _each(files, output, settings, cluster, console, overwrite=overwrite)
+    publication = Publication(target, overwrite, report, plots, formats)
     if follow:
-        _follow(session, target, settings, overwrite=overwrite)
+        _follow(session, settings, publication)
         return None
     check_result_target(target, overwrite=overwrite)
+    publication.check()
     with ExitStack() as stack:
         status = stack.enter_context(console.status("opening"))
         sessions = [stack.enter_context(Session.open(file)) for file in files]
-        if len(sessions) == 1:
-            result = calibrate(sessions[0], settings, lambda step: status.update(f"{session.name}: {step} ..."))
-        else:
-            result = calibrate_together(sessions, settings, lambda step: status.update(f"{step} ..."))
-    write_calibration(result, target, overwrite=overwrite)
+
+        def tell(step: str) -> None:
+            status.update(f"{step} ...")
+
+        together = len(sessions) > 1
+        result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
+        write_calibration(result, target, overwrite=overwrite)
+        tell("writing what stands beside the result")
+        published = publication.publish(sessions, result, settings)
     show(result, target, console)
+    for line in published:
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     return None
+
+
+def _export(
+    files: tuple[Path, ...], output: Path | None, overwrite: bool, formats: tuple[str, ...], console: Console
+) -> None:
+    from calib.errors import MethodError
+    from calib.export.stored import read_array
+    from calib.publication import Publication
+
+    result = files[0]
+    if len(files) > 1:
+        raise MethodError(f"{result}: a result: name one of them, or two with --compare")
+    if not formats:
+        raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
+    publication = Publication(output or result, overwrite, report=False, formats=formats)
+    publication.check()
+    for line in publication.export_only(read_array(result)):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:
@@ -161,10 +218,11 @@ def _result_path(sessions: tuple[Path, ...]) -> Path:
     return sessions[0].with_name(f"{name}.calib.yaml")
 
 
-def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:
+def _follow(session: Path, settings: Settings, publication: Publication) -> None:
     import json
 
     from calib.follow import follow
+    from rigs.session.reader import Session
 
     def say(progress: dict[str, object]) -> None:
         try:
@@ -172,7 +230,11 @@ def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool)
         except BrokenPipeError:  # nobody reads any more; the result is still wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    follow(session, target, settings, say, overwrite=overwrite)
+    publication.check()
+    result = follow(session, publication.target, settings, say, overwrite=publication.overwrite)
+    if result is not None:
+        with Session.open(session) as opened:
+            publication.publish([opened], result, settings)
 
 
 def _each(

@@ -20,6 +20,7 @@ TOLERANCE_SAMPLES = 1.5  # within which peaks agree: under half a period
 MIN_AGREEING_SHARE = 0.5  # of a channel's pairs
 N_ROUNDS = 3
 N_VOTES = 2
+EMISSIONS_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,17 @@ class Agreement:
 
 
 def agree(candidates: Candidates, pairs: NDArray[np.int32], n_channels: int) -> Agreement:
-    """Choose among the candidates of all pairs."""
+    """Choose among the candidates of all pairs, some emissions at a time."""
+    slabs = [slice(begin, begin + EMISSIONS_AT_ONCE) for begin in range(0, len(candidates.lags), EMISSIONS_AT_ONCE)]
+    parts = [_agree(candidates.some(slab), pairs, n_channels) for slab in slabs]
+    return Agreement(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Agreement)))
+
+
+def _agree(candidates: Candidates, pairs: NDArray[np.int32], n_channels: int) -> Agreement:
     arrivals = _best_proposal(candidates, pairs, n_channels)
-    open_questions = (_nearest(candidates, arrivals, pairs)[0] < 0).any(axis=1)
+    open_questions = np.asarray((_nearest(candidates, arrivals, pairs)[0] < 0).any(axis=1))
     if open_questions.any():
-        some = Candidates(*(getattr(candidates, one.name)[open_questions] for one in fields(Candidates)))
-        arrivals[open_questions] = _voted(some, arrivals[open_questions], pairs)
+        arrivals[open_questions] = _voted(candidates.some(open_questions), arrivals[open_questions], pairs)
     incidence = _incidence(pairs, n_channels)
     heard = np.ones((len(arrivals), n_channels), dtype=bool)
     for _ in range(N_ROUNDS):

@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from scipy.fft import rfft
 
 from calib.emissions import accepted_rows
 from calib.errors import MethodError
 from calib.flaws import HARMLESS, Flaw
-from calib.gcc import PairCorrelator
+from calib.gcc import MIN_SCORE, N_CANDIDATES, PairCorrelator
+from calib.peaks import FIRST_PEAK_SHARE
 from calib.sound import SoundArrivals, TdoaMode, find_arrivals, listener_of, windows_of, wrong_labels
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
@@ -23,8 +27,10 @@ from rigs.target import check_target
 FloatArray = NDArray[np.float64]
 
 AROUND_S = 0.006
-N_CANDIDATES = 4
+APART_MS = 0.25  # nearer peaks are ripples of one
+MIN_SHOWN = 0.1
 INCHES_PER_CHANNEL = 1.1
+CHOSEN, BAD = "tab:green", "tab:red"
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,8 @@ class View:
 
     Parameters
     ----------
-    title, lag_label : str
+    title : str
+    mode : {"matched", "gcc-phat"}
     channels : tuple of int
     time_ms, samples : (n,), (n_channels, n) arrays
         The window.
@@ -49,7 +56,7 @@ class View:
     """
 
     title: str
-    lag_label: str
+    mode: str
     channels: tuple[int, ...]
     time_ms: FloatArray
     samples: NDArray[np.float32]
@@ -60,11 +67,20 @@ class View:
     std_us: FloatArray
     verdict: list[str]
 
+    @property
+    def threshold(self) -> float:
+        """How high a candidate must be, over the highest peak, to be considered."""
+        return FIRST_PEAK_SHARE if self.mode == "matched" else MIN_SCORE
+
     def candidates(self, column: int) -> NDArray[np.intp]:
-        """Return the places of the highest peaks of a channel's correlation."""
+        """Return the places of the highest peaks of a channel's correlation, at most `N_CANDIDATES`."""
         row = self.correlation[column]
-        peaks = np.flatnonzero((row[1:-1] > row[:-2]) & (row[1:-1] >= row[2:])) + 1
-        return peaks[np.argsort(-row[peaks])[:N_CANDIDATES]]
+        peaks = np.flatnonzero((row[1:-1] > row[:-2]) & (row[1:-1] >= row[2:]) & (row[1:-1] > MIN_SHOWN)) + 1
+        shown: list[int] = []
+        for peak in peaks[np.argsort(-row[peaks])]:
+            if len(shown) < N_CANDIDATES and (np.abs(self.lag_ms[peak] - self.lag_ms[shown]) > APART_MS).all():
+                shown.append(int(peak))
+        return np.array(shown, dtype=np.intp)
 
 
 def inspect(session: Session, number: int, mode: TdoaMode) -> View:
@@ -87,7 +103,7 @@ def inspect(session: Session, number: int, mode: TdoaMode) -> View:
         windows, listener = listener_of(session, rows, waveform, wrong_labels(session, rows, waveform))
         matched = listener.filter(int(session.emissions["buzzer"][number]))
         samples = windows.read(np.array([row])).samples
-        output = np.abs(matched.filtered(samples)[0]) if matched else np.zeros_like(samples[0])
+        output = np.abs(matched.filtered(rfft(samples, axis=2))[0]) if matched else np.zeros_like(samples[0])
         centre = _centre(sound, row, windows)
         lag_ms, output = _around(output, centre, windows.sample_rate_hz)
         chosen_ms = 1e3 * (sound.arrival_s[row] - (windows.first_samples[row] + centre) / windows.sample_rate_hz)
@@ -102,18 +118,7 @@ def inspect(session: Session, number: int, mode: TdoaMode) -> View:
 
 
 def draw(view: View, path: Path) -> None:
-    """Draw a view into a PNG or SVG file.
-
-    Raises
-    ------
-    MethodError
-        Matplotlib is not installed.
-    """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an optional dependency
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ImportError as error:
-        raise MethodError("a plot needs Matplotlib: install it with pip install 'acoustic-camera-rig[plot]'") from error
+    """Draw a view into a PNG or SVG file."""
     n_channels = len(view.channels)
     figure = Figure(figsize=(13, INCHES_PER_CHANNEL * n_channels + 1), layout="constrained")
     FigureCanvasAgg(figure)
@@ -121,8 +126,7 @@ def draw(view: View, path: Path) -> None:
     axes = figure.subplots(n_channels, 2, sharex="col", squeeze=False)
     for column in range(n_channels):
         _draw_channel(view, column, *axes[column])
-    axes[-1][0].set_xlabel("time in the window, ms")
-    axes[-1][1].set_xlabel(view.lag_label)
+    _draw_words(view, axes)
     figure.savefig(path)
 
 
@@ -174,7 +178,8 @@ def _view(
     lag_ms: FloatArray, output: FloatArray, chosen_ms: FloatArray,
 ) -> View:  # fmt: skip
     emission = session.emissions[sound.rows[row]]
-    whole = ", ".join(sound.flaws.of_emission(row)) or "kept"
+    n_kept = int((~sound.flaws.rejected[row]).sum())
+    whole = ", ".join(sound.flaws.of_emission(row)) or f"{n_kept} of {len(samples)} channels kept"
     title = f"emission {sound.rows[row]}, pose {emission['pose']}, buzzer {emission['buzzer']}, {sound.mode}: {whole}"
     time_ms = np.asarray(1e3 * np.arange(samples.shape[1]) / windows.sample_rate_hz, dtype=float)
     scaled = output / np.maximum(np.abs(output).max(axis=1, keepdims=True), 1e-30)
@@ -183,8 +188,9 @@ def _view(
     begin_s = sound.arrival_s[row] - windows.first_samples[row] / windows.sample_rate_hz
     begin_s = begin_s if sound.mode == "matched" else np.full_like(begin_s, np.nan)
     span_ms = 1e3 * (begin_s[:, None] + np.array([0.0, windows.n_played / windows.sample_rate_hz]))
-    lag_label = f"{'after the median arrival' if sound.mode == 'matched' else 'behind the first channel'}, ms"
-    return View(title, lag_label, sound.channels, time_ms, samples, lag_ms, scaled, chosen_ms, span_ms, std_us, verdict)
+    return View(
+        title, sound.mode, sound.channels, time_ms, samples, lag_ms, scaled, chosen_ms, span_ms, std_us, verdict
+    )
 
 
 def _verdict(flaws: list[Flaw]) -> str:
@@ -195,11 +201,31 @@ def _verdict(flaws: list[Flaw]) -> str:
 def _draw_channel(view: View, column: int, left: Any, right: Any) -> None:
     left.plot(view.time_ms, view.samples[column], linewidth=0.4)
     if np.isfinite(view.span_ms[column]).all():
-        left.axvspan(*view.span_ms[column], color="tab:green", alpha=0.15)
+        left.axvspan(*view.span_ms[column], color=CHOSEN, alpha=0.15, label="the emission, as found")
     left.set_ylabel(f"ch {view.channels[column]}")
     right.plot(view.lag_ms, view.correlation[column], linewidth=0.7)
+    right.axhline(view.threshold, color="tab:gray", linewidth=0.7, linestyle=":", label="lower ones do not count")
     candidates = view.candidates(column)
-    right.plot(view.lag_ms[candidates], view.correlation[column, candidates], "o", markersize=4, fillstyle="none")
-    if np.isfinite(view.chosen_ms[column]):
-        right.axvline(view.chosen_ms[column], color="tab:green", linewidth=1)
-    right.set_title(view.verdict[column], fontsize="small", loc="right", pad=1)
+    right.plot(
+        view.lag_ms[candidates], view.correlation[column, candidates],
+        "o", color="tab:orange", markersize=5, fillstyle="none", linestyle="none", label="candidates",
+    )  # fmt: skip
+    known = np.isfinite(view.chosen_ms[column])
+    if known:
+        right.axvline(view.chosen_ms[column], color=CHOSEN, linewidth=1, label="chosen")
+    found = f"{view.chosen_ms[column]:+.4f} ms +- {view.std_us[column]:.3f} us, " if known else ""
+    right.set_title(found + view.verdict[column], fontsize="small", loc="right", pad=2, color=CHOSEN if known else BAD)
+
+
+def _draw_words(view: View, axes: Any) -> None:
+    """Say what the columns and the marks are."""
+    matched = view.mode == "matched"
+    left, right = axes[0]
+    left.set_title("sound, full scale = 1" if matched else "sound, all of it used", fontsize="small", loc="left", pad=2)
+    what = "envelope of the filter's output" if matched else f"correlation with channel {view.channels[0]}"
+    right.set_title(f"{what}, highest = 1", fontsize="small", loc="left", pad=2)
+    for one in (left, right):
+        if one.get_legend_handles_labels()[0]:
+            one.legend(fontsize="x-small", loc="upper left")
+    axes[-1][0].set_xlabel("time in the window, ms")
+    axes[-1][1].set_xlabel("after the median arrival, ms" if matched else f"behind channel {view.channels[0]}, ms")

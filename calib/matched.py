@@ -26,9 +26,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, rfft
-from scipy.ndimage import uniform_filter1d
 
 from calib.background import Background
+from calib.delay import delay_factors
 from calib.peaks import first_strong_peaks, refine_peaks
 from calib.windows import EmissionWindows, Sound
 
@@ -149,46 +149,48 @@ class MatchedFilter:
         later = np.arange(heights.shape[1]) >= valley[:, None]
         return np.asarray(np.max(np.where(later, heights, 0.0), axis=1))
 
-    def filtered(self, samples: NDArray[np.float32]) -> NDArray[np.complex64]:
-        """Return the analytic signal (n, n_channels, n_samples) of filtered windows."""
-        spectra = np.zeros(samples.shape, dtype=np.complex64)
-        spectra[:, :, : self._n // 2 + 1] = rfft(samples, axis=2) * (2 * self._filter).astype(np.complex64)
-        return np.asarray(ifft(spectra, axis=2, overwrite_x=True))
+    def filtered(self, spectra: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """Filter spectra (n, n_channels, n_bins) and return the analytic signals (n, n_channels, n_samples)."""
+        return np.asarray(ifft(spectra * self._analytic_filter, self._n, axis=2, overwrite_x=True))
 
     def peaks(self, sound: Sound) -> Peaks:
         """Find the direct sounds."""
-        signal = self.filtered(sound.samples)
-        envelope = np.abs(signal)
-        real = np.ascontiguousarray(signal.real)
-        first, second, second_lag = first_strong_peaks(
-            envelope[:, :, : self._last_sample], self._foothills, self._max_tdoa_samples, self.noise_rms
-        )
-        place, value = refine_peaks(real, first)
-        amplitude = value / np.maximum(self.pulses[:, 0], 1e-300)
-        disturbance = self._disturbance(real, first, amplitude)
-        misfit = self._misfit(real, place, amplitude, disturbance)
-        std = self.std_at_amplitude_1 / np.maximum(np.abs(amplitude), 1e-12) * disturbance
-        std *= np.maximum(misfit / USUAL_MISFIT, 1.0)
-        height = np.abs(value) / np.maximum(self.noise_rms * disturbance, 1e-300)
-        echo = self._echo(real, amplitude)
-        return Peaks(place, std, amplitude, height, disturbance, misfit, second, second_lag, echo)
+        return self._peaks(rfft(sound.samples, axis=2))
 
     def echo_share(self, sound: Sound) -> FloatArray:
         """Measure the power (n, n_channels) that comes with the direct sound, over its own; NaN where unheard."""
-        peaks = self.peaks(sound)
         spectra = rfft(sound.samples, axis=2)
-        turn = np.exp(-1j * self._angular * peaks.place_samples[..., None])
-        direct = peaks.amplitude[..., None] * self._spectrum * turn
-        power = np.maximum(np.sum(np.abs(direct) ** 2, axis=2), 1e-300)
-        direct *= np.real(np.sum(spectra * np.conj(direct), axis=2) / power)[..., None]
-        rest = uniform_filter1d(np.abs(spectra - direct) ** 2, SMOOTHING_BINS, axis=2) - self._noise
-        power = uniform_filter1d(np.abs(direct) ** 2, SMOOTHING_BINS, axis=2)
-        clear = power > 0.3 * uniform_filter1d(self._noise, SMOOTHING_BINS, axis=1)
-        clear &= (peaks.height > CLEAR_HEIGHT)[..., None]
+        peaks = self._peaks(spectra)
+        direct = self._spectrum.astype(np.complex64) * delay_factors(peaks.place_samples, self._n)
+        likeness = np.einsum("ncb,ncb->nc", spectra, np.conj(direct)).real
+        direct *= (likeness / np.einsum("ncb,ncb->nc", direct, np.conj(direct)).real)[..., None]
+        noise, power = _band_means(self._noise), _band_means(np.abs(direct) ** 2)
+        rest = _band_means(np.abs(spectra - direct) ** 2) - noise
+        clear = (power > 0.3 * noise) & (peaks.height > CLEAR_HEIGHT)[..., None]
         share = np.where(clear, rest / np.where(clear, power, 1.0), np.nan)
         with catch_warnings():
             simplefilter("ignore", RuntimeWarning)  # of channels that heard nothing
             return np.asarray(np.nanmedian(share, axis=2))
+
+    def _peaks(self, spectra: NDArray[np.complex64]) -> Peaks:
+        signal = self.filtered(spectra)
+        envelope = np.abs(signal)
+        first, second, second_lag = first_strong_peaks(
+            envelope[:, :, : self._last_sample], self._foothills, self._max_tdoa_samples, self.noise_rms
+        )
+        place, value = refine_peaks(signal.real, first)
+        amplitude = value / np.maximum(self.pulses[:, 0], 1e-300)
+        disturbance = self._disturbance(signal.real, first, amplitude)
+        misfit = self._misfit(signal.real, place, amplitude, disturbance)
+        std = self.std_at_amplitude_1 / np.maximum(np.abs(amplitude), 1e-12) * disturbance
+        std *= np.maximum(misfit / USUAL_MISFIT, 1.0)
+        height = np.abs(value) / np.maximum(self.noise_rms * disturbance, 1e-300)
+        echo = self._echo(envelope, amplitude)
+        return Peaks(place, std, amplitude, height, disturbance, misfit, second, second_lag, echo)
+
+    @cached_property
+    def _analytic_filter(self) -> NDArray[np.complex64]:
+        return (2 * self._filter).astype(np.complex64)
 
     @cached_property
     def _fine_pulses(self) -> FloatArray:
@@ -205,18 +207,28 @@ class MatchedFilter:
         envelope = np.abs(ifft(spectrum, axis=1))
         return np.asarray(envelope[:, : self._max_tdoa_samples + 1] / np.maximum(envelope[:, :1], 1e-300))
 
-    def _disturbance(self, real: NDArray[np.float32], first: NDArray[np.intp], amplitude: FloatArray) -> FloatArray:
-        begin, end = round(PRE_S * self._rate_hz), round(PRE_END_S * self._rate_hz)
-        lags = np.arange(-begin, -end)
-        before = np.take_along_axis(real, np.maximum(first[..., None] + lags, 0), axis=2)
-        own = np.mean(self.pulses[:, lags] ** 2, axis=1) * amplitude**2
-        power = np.mean(before.astype(float) ** 2, axis=2)
-        return np.asarray(np.sqrt(power / np.maximum(own + self.noise_rms**2, 1e-300)))
+    @cached_property
+    def _power(self) -> FloatArray:
+        """Mean square (n_channels,) of the pulses."""
+        return np.asarray(np.mean(self.pulses**2, axis=1))
 
-    def _echo(self, real: NDArray[np.float32], amplitude: FloatArray) -> FloatArray:
-        heard = np.mean(real**2, axis=2, dtype=float) - self.noise_rms**2
-        direct = np.mean(self.pulses**2, axis=1) * amplitude**2
-        return np.asarray(np.maximum(heard, 0.0) / np.maximum(direct, 1e-300))
+    @cached_property
+    def _power_before(self) -> FloatArray:
+        """Mean square (n_channels,) of the pulses just before their peaks."""
+        return np.asarray(np.mean(self.pulses[:, self._before] ** 2, axis=1))
+
+    @cached_property
+    def _before(self) -> NDArray[np.intp]:
+        return np.arange(-round(PRE_S * self._rate_hz), -round(PRE_END_S * self._rate_hz))
+
+    def _disturbance(self, real: NDArray[np.float32], first: NDArray[np.intp], amplitude: FloatArray) -> FloatArray:
+        before = np.take_along_axis(real, np.maximum(first[..., None] + self._before, 0), axis=2)
+        usual = self._power_before * amplitude**2 + self.noise_rms**2
+        return np.asarray(np.sqrt(_mean_squares(before) / np.maximum(usual, 1e-300)))
+
+    def _echo(self, envelope: NDArray[np.float32], amplitude: FloatArray) -> FloatArray:
+        heard = _mean_squares(envelope) / 2 - self.noise_rms**2
+        return np.asarray(np.maximum(heard, 0.0) / np.maximum(self._power * amplitude**2, 1e-300))
 
     def _misfit(
         self, real: NDArray[np.float32], place: FloatArray, amplitude: FloatArray, disturbance: FloatArray
@@ -234,6 +246,17 @@ class MatchedFilter:
         rest = np.mean((around - amplitude[..., None] * pulse) ** 2, axis=2)
         allowed = (self.noise_rms * disturbance) ** 2 + (TEMPLATE_ERROR * amplitude * self.pulses[:, 0]) ** 2
         return np.asarray(np.sqrt(rest / np.maximum(allowed, 1e-300)))
+
+
+def _mean_squares(values: NDArray[np.float32]) -> FloatArray:
+    return np.asarray(np.einsum("ncs,ncs->nc", values, values) / values.shape[2], dtype=float)
+
+
+def _band_means(power: NDArray[np.floating]) -> FloatArray:
+    """Average (..., n_bins) over neighbouring bins, to (..., n_bands)."""
+    n_bands = power.shape[-1] // SMOOTHING_BINS
+    bands = power[..., : n_bands * SMOOTHING_BINS].reshape(*power.shape[:-1], n_bands, SMOOTHING_BINS)
+    return np.asarray(bands.mean(axis=-1), dtype=float)
 
 
 def _converter_band(n_bins: int) -> FloatArray:

@@ -17,6 +17,7 @@ FOOT_SAMPLES = 24
 HALF_WIDTH_SAMPLES = 24
 KAISER_BETA = 8.0
 GRID_REACH, GRID_PER_SAMPLE = 3, 32
+REACH = HALF_WIDTH_SAMPLES + GRID_REACH  # of the interpolation around a peak
 
 
 def first_strong_peaks(
@@ -55,7 +56,9 @@ def first_strong_peaks(
     first = places[..., 1:-1]
     first = np.take_along_axis(first, np.argmax(strong, axis=2)[..., None], axis=2)
     height = np.take_along_axis(envelopes, first, axis=2)[..., 0]
-    elsewhere = np.where(np.abs(np.arange(envelopes.shape[2]) - first) > FOOT_SAMPLES, envelopes, 0)
+    elsewhere = envelopes.copy()
+    foot = np.clip(first + np.arange(-FOOT_SAMPLES, FOOT_SAMPLES + 1), 0, envelopes.shape[2] - 1)
+    np.put_along_axis(elsewhere, foot, 0, axis=2)
     second = np.argmax(elsewhere, axis=2)
     ratio = np.take_along_axis(elsewhere, second[..., None], axis=2)[..., 0] / np.maximum(height, 1e-30)
     return first[..., 0], ratio.astype(float), (second - first[..., 0]).astype(float)
@@ -84,7 +87,7 @@ def refine_peaks(
     grid, interpolation = _interpolation(reach)
     taps = np.arange(-HALF_WIDTH_SAMPLES - reach, HALF_WIDTH_SAMPLES + reach + 1)
     index = np.clip(places[..., None] + taps, 0, signals.shape[-1] - 1)
-    around = np.take_along_axis(signals, index, axis=-1).astype(float)
+    around = np.take_along_axis(signals, index, axis=-1)
     value, slope, curvature = np.split(around @ interpolation, 3, axis=-1)
     best = np.argmax(np.abs(value), axis=-1)[..., None]
     value, slope, curvature = (np.take_along_axis(of, best, axis=-1)[..., 0] for of in (value, slope, curvature))
@@ -94,13 +97,14 @@ def refine_peaks(
 
 
 @cache
-def _interpolation(reach: int) -> tuple[FloatArray, FloatArray]:
+def _interpolation(reach: int) -> tuple[FloatArray, NDArray[np.float32]]:
     """Return a grid around zero in samples, and the matrix (n_taps, 3 n_grid) for value, slope and curvature on it."""
     grid = np.arange(-reach * GRID_PER_SAMPLE, reach * GRID_PER_SAMPLE + 1) / GRID_PER_SAMPLE
     distance = grid - np.arange(-HALF_WIDTH_SAMPLES - reach, HALF_WIDTH_SAMPLES + reach + 1)[:, None]
     step = 1e-3
     here, after, before = (_kernel(distance + shift) for shift in (0.0, step, -step))
-    return grid, np.hstack([here, (after - before) / (2 * step), (after - 2 * here + before) / step**2])
+    slope, curvature = (after - before) / (2 * step), (after - 2 * here + before) / step**2
+    return grid, np.hstack([here, slope, curvature]).astype(np.float32)
 
 
 def _kernel(distance: FloatArray) -> FloatArray:

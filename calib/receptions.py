@@ -21,6 +21,7 @@ BoolArray = NDArray[np.bool_]
 MIN_HEIGHT = 7.0  # over the noise: of ten thousand samples the highest reaches 4.5
 AMBIGUITY_SIGMAS = 5.0
 DISTURBED_RATIO = 2.5
+USUAL_ECHO_SHARE = 0.3
 ECHO_EMISSIONS = 6  # per buzzer, to tell echo from direct sound
 SECOND_SHARE, SECOND_RATIO = 0.5, 2.0  # of the direct sound; over what is usual in the session
 SPREAD_RATIO = 20.0
@@ -85,10 +86,11 @@ class Listener:
         self._responses = {one: response for one, response in learnt.items() if response is not None}
         self._amplitudes = _usual_amplitudes(list(self._responses.values()), windows.n_channels)
         self.echo_share = self._measure_echo(usable)
+        self._filters = {one: self._filter(response, self.echo_share) for one, response in self._responses.items()}
 
     def filter(self, buzzer: int) -> MatchedFilter | None:
         """Return the filter for a buzzer, None for one that was never heard."""
-        return self._filter(buzzer, self.echo_share)
+        return self._filters.get(buzzer)
 
     def among(self, windows: EmissionWindows, buzzer: NDArray[np.integer]) -> Listener:
         """Return a listener that knows the same and finds other emissions, the first of which are those of this one."""
@@ -124,31 +126,25 @@ class Listener:
     def lobes(self) -> FloatArray:
         """Return how high (n_emissions, n_channels) the filtered pulse's next swing is over its peak."""
         out = np.full((len(self._buzzer), self._windows.n_channels), np.nan)
-        for buzzer in self._responses:
-            matched = self.filter(buzzer)
-            assert matched is not None
+        for buzzer, matched in self._filters.items():
             out[self._buzzer == buzzer] = matched.lobe
         return out
 
-    def _filter(self, buzzer: int, echo_share: float) -> MatchedFilter | None:
-        response = self._responses.get(buzzer)
-        if response is None:
-            return None
+    def _filter(self, response: Response, echo_share: float) -> MatchedFilter:
         return MatchedFilter(
             response.spectrum, self._amplitudes, self.background, echo_share, self._windows, self._max_tdoa_samples
         )
 
     def _measure_echo(self, usable: BoolArray) -> float:
         shares = []
-        for buzzer in self._responses:
-            matched = self._filter(buzzer, 0.3)
+        for buzzer, response in self._responses.items():
+            matched = self._filter(response, USUAL_ECHO_SHARE)
             rows = np.flatnonzero(usable & (self._buzzer == buzzer))
             rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), ECHO_EMISSIONS)).astype(int)]
-            assert matched is not None
             shares += [matched.echo_share(sound).ravel() for sound in self._windows.batches(rows)]
         found = np.concatenate(shares) if shares else np.array([])
         found = found[np.isfinite(found)]
-        return float(np.clip(np.median(found), 1e-6, 1.0)) if len(found) else 0.3
+        return float(np.clip(np.median(found), 1e-6, 1.0)) if len(found) else USUAL_ECHO_SHARE
 
 
 def find_flaws(
@@ -235,8 +231,11 @@ def _two_sources(peaks: Peaks, heard: BoolArray) -> BoolArray:
 def _far_from_the_rest(peaks: Peaks, rejected: BoolArray, max_tdoa_samples: float) -> BoolArray:
     """Tell which arrivals are further from the median of the others than sound can be."""
     place = np.where(rejected, np.nan, peaks.place_samples)
-    centre = [np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in place]
-    return np.asarray(np.abs(place - np.array(centre)[:, None]) > max_tdoa_samples)
+    some = np.isfinite(place).any(axis=1)
+    place = place[some]
+    far = np.zeros(rejected.shape, dtype=bool)
+    far[some] = np.abs(place - np.nanmedian(place, axis=1, keepdims=True)) > max_tdoa_samples
+    return far
 
 
 def _inverted(peaks: Peaks, rejected: BoolArray) -> BoolArray:

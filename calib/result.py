@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.evidence import Evidence
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import KINDS, Rejection
 from rigs import __version__
-from rigs.errors import TargetExistsError
+from rigs.errors import TargetError, TargetExistsError, reason
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
 from rigs.target import check_target
 
@@ -59,6 +60,24 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """What tools that read the session beside the result need to know of it.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+    channels : tuple of int
+        Input channel of each column of `time_data`.
+    picture_size_px : (int, int)
+        Width and height.
+    """
+
+    sample_rate_hz: float
+    channels: tuple[int, ...]
+    picture_size_px: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class SessionShare:
     """One of several sessions that a result rests on; each has a speed of sound of its own."""
 
@@ -85,9 +104,11 @@ class Calibration:
     array_covariance_m2 : (3 n_mics, 3 n_mics) array
         Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
-        Where the method holds the speed, the standard deviation is the rig description's.
+        Where the speed is held, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
+    recording : Recording
+        How the session was recorded, of several the first.
     residual : Residual
     evaluation : Evaluation or None
     warnings : list of str
@@ -97,6 +118,10 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of Suggestion
         Further board positions that would help most, the best first.
+    evidence : Evidence or None
+        Residuals of all measurements, for the report; the YAML file leaves them out.
+    held : tuple of str
+        Blocks of unknowns that the method was told to hold.
     weakest : Weakest or None
         How the array is known worst; None for the paper's methods.
     rejections : tuple of Rejection
@@ -114,15 +139,18 @@ class Calibration:
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View
+    recording: Recording
     residual: Residual
     evaluation: Evaluation | None
     warnings: list[str]
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
     suggestions: tuple[Suggestion, ...] = ()
+    held: tuple[str, ...] = ()
     weakest: Weakest | None = None
     rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
+    evidence: Evidence | None = None
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -148,6 +176,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
         "frame": CAMERA_FRAME,
         "tdoa_sign": TDOA_SIGN,
         "method": result.method,
+        "held": list(result.held),
         "software": f"acoustic-camera-rig {__version__}",
         "speed_of_sound_m_s": _rounded(result.speed_of_sound_m_s, 4),
         "speed_of_sound_std_m_s": _rounded(result.speed_of_sound_std_m_s, 4),
@@ -175,6 +204,11 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "distortion": _rounded(result.view.intrinsics.distortion, 8),
             "corner_rms_px": _rounded(result.view.rms_px, 4),
             "n_poses": len(result.view.board_to_camera),
+        },
+        "recording": {
+            "sample_rate_hz": float(result.recording.sample_rate_hz),
+            "channels": list(result.recording.channels),
+            "picture_size_px": list(result.recording.picture_size_px),
         },
         "warnings": list(result.warnings),
     }
@@ -210,13 +244,17 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
     Raises
     ------
     TargetError
-        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder.
+        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder,
+        or it cannot be written to.
     OSError
-        The folder cannot be written to.
+        The disk is full.
     """
     check_result_target(path, overwrite=overwrite)
     text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(text)

@@ -12,7 +12,7 @@ from calib.background import listen
 from calib.consistency import agree
 from calib.errors import NotEnoughDataError
 from calib.flaws import Flaw, Flaws
-from calib.gcc import PairCorrelator, candidates_of
+from calib.gcc import PairCorrelator, joined
 from calib.receptions import MIN_HEIGHT, SILENT_RMS, Listener, Receptions, find_flaws
 from calib.windows import EmissionWindows
 from rigs.session.reader import Session
@@ -246,20 +246,19 @@ def _correlated(session: Session, rows: RowArray, waveform: Waveform) -> SoundAr
     max_lag = session.description.calibration.max_tdoa_s * session.sample_rate_hz
     correlator = PairCorrelator(windows.n_samples, background.power, max_lag)
     shape = (len(rows), windows.n_channels)
-    place, std, quality = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(len(rows))
-    flaws, loud = Flaws(shape), np.zeros(shape, dtype=bool)
+    candidates, loud = [], np.zeros(shape, dtype=bool)
     clipped, not_numbers = np.zeros((2, *shape), dtype=bool)
-    pairs = correlator.pairs(windows.n_channels)
     for sound in windows.batches(np.arange(len(rows))):
-        found = agree(candidates_of(correlator, sound.samples), pairs, windows.n_channels)
-        place[sound.rows], std[sound.rows], quality[sound.rows] = found.arrivals, found.std, found.quality
+        candidates.append(correlator.candidates(sound.samples))
         loud[sound.rows] = sound.rms() > LOUD_RATIO * np.maximum(background.rms, SILENT_RMS)
         clipped[sound.rows] = sound.peak() >= session.description.capture.clip_level
         not_numbers[sound.rows] = sound.not_numbers
+    found = agree(joined(candidates), correlator.pairs(windows.n_channels), windows.n_channels)
+    flaws = Flaws(shape)
     flaws.add(Flaw.CUT_OFF, (windows.held_samples() < windows.n_samples)[:, None])
     flaws.add(Flaw.NOT_NUMBERS, not_numbers)
     flaws.add(Flaw.NOT_HEARD, ~loud)
-    flaws.add(Flaw.NO_CONSISTENT_PATH, (quality < MIN_QUALITY)[:, None] | ~np.isfinite(place))
+    flaws.add(Flaw.NO_CONSISTENT_PATH, (found.quality < MIN_QUALITY)[:, None] | ~np.isfinite(found.arrivals))
     flaws.add(Flaw.CLIPPED, clipped)
     flaws.add(Flaw.HUM, background.humming)
-    return _kept("gcc-phat", rows, windows, place, std, flaws, quality)
+    return _kept("gcc-phat", rows, windows, found.arrivals, found.std, flaws, found.quality)

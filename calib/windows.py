@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 RowArray = NDArray[np.intp]
 
 FLIGHT_S = 0.03  # sound takes that long over 10 m
-MOST_SAMPLES_AT_ONCE = 2_000_000  # of all channels together
+MOST_SAMPLES_AT_ONCE = 400_000  # of all channels together: what a processor's cache holds
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class EmissionWindows:
             if begin < end:
                 window[:, begin - first : end - first] = self._session.audio(begin, end - begin).T[self._columns]
         with np.errstate(invalid="ignore", over="ignore"):
-            not_numbers = ~np.isfinite(samples.sum(axis=2, dtype=float))  # one such sample spoils the sum
+            not_numbers = ~np.isfinite(samples.sum(axis=2))  # one such sample spoils the sum
         if not_numbers.any():
             samples[~np.isfinite(samples)] = 0.0
         return Sound(rows, samples, not_numbers)

@@ -95,7 +95,7 @@ def parse_document(text: str, where: str, model: type[Document], what: str) -> D
     DescriptionError
         Not YAML, not a mapping, or not valid: one line per problem, each with file, key and remedy.
     """
-    document = _load_yaml(text, where)
+    document = load_yaml(text, where)
     if not isinstance(document, dict):
         raise DescriptionError(f"{where}: not a {what} description: give keys and values, as in `name: my {what}`")
     try:
@@ -196,7 +196,20 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _load_yaml(text: str, where: str) -> Any:
+def load_yaml(text: str, where: str) -> Any:
+    """Read YAML strictly: no key twice, no aliases.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Its file, for messages.
+
+    Raises
+    ------
+    DescriptionError
+        Not such YAML; says where and what to do.
+    """
     try:
         return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 (a SafeLoader)
     except yaml.MarkedYAMLError as error:

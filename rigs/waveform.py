@@ -88,9 +88,10 @@ class Waveform:
         """
         time_s, step = self.edges()
         turn = -2j * np.pi * sample_rate_hz / n_samples * time_s
-        n_bins, n_fine = n_samples // 2 + 1, 64  # bins in two digits: few exponentials, one matrix product
+        n_bins, n_fine = n_samples // 2 + 1, 64  # bins in two digits: few exponentials
         coarse = np.exp(np.arange(0, n_bins, n_fine)[:, None] * turn) * step
-        total = (coarse @ np.exp(np.arange(n_fine)[:, None] * turn).T).ravel()[:n_bins]
+        fine = np.exp(np.arange(n_fine)[:, None] * turn)
+        total = np.einsum("ct,ft->cf", coarse, fine).ravel()[:n_bins]  # `@` would wake threads for longer than it takes
         spectrum = np.zeros(n_bins, dtype=complex)
         spectrum[1:] = total[1:] * n_samples / (2j * np.pi * np.arange(1, n_bins))
         return spectrum

@@ -231,6 +231,16 @@ def test_a_full_queue_drops_what_comes_and_says_so_once_there_is_room():
     assert [taken(intake)[1:] for _ in range(2)] == [(True, b"e" * 40), (False, b"f" * 40)]
 
 
+def test_a_small_block_finds_no_way_into_a_queue_that_dropped_a_large_one():
+    intake = Intake(max_frames=100)
+    intake.callback(b"a" * 380, 95, TIMES, ALL_WELL)
+    intake.callback(b"b" * 40, 10, TIMES, ALL_WELL)  # dropped
+    intake.callback(b"c" * 8, 2, TIMES, ALL_WELL)  # would fit
+    assert taken(intake)[0] == 95
+    intake.callback(b"d" * 8, 2, TIMES, ALL_WELL)
+    assert taken(intake)[1:] == (True, b"d" * 8)
+
+
 def test_a_stream_that_ends_ends_the_queue():
     intake = Intake(max_frames=20)
     intake.callback(b"a" * 40, 10, TIMES, ALL_WELL)

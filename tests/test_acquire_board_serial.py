@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -262,6 +263,26 @@ def test_another_program_on_the_board_is_a_firmware_error():
         pytest.raises(FirmwareError, match=r"not the firmware buzzer-board: put ours on it: rig-flash --port"),
     ):
         SerialBoard(scripted.port, SHORT, [1]).open()
+
+
+def test_a_board_that_only_answers_what_was_asked_long_before_is_no_other_firmware():
+    late = framed("1 ok us=42")
+    with ScriptedBoard(raw=late) as scripted, pytest.raises(DeviceError, match="the board answers too late"):
+        SerialBoard(scripted.port, SHORT, [1]).open()
+
+
+def test_a_board_can_be_let_go_while_another_thread_waits_for_it(scripted, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_link._TIMEOUT_S", 20.0)
+    board = SerialBoard(scripted.port, SHORT, [1])
+    board.open()
+    scripted.faults["ping"] = ["lose command"]
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(board.read_clock)
+        while scripted.faults["ping"]:
+            time.sleep(0.001)
+        board.close()
+        assert isinstance(waiting.exception(), DeviceError)
+    assert scripted.verbs()[-2:] == ["ping", "stop"]
 
 
 def test_a_board_that_says_nothing_is_a_device_error():

@@ -137,7 +137,7 @@ def test_a_silent_buzzer_is_fired_again_and_stored_as_not_accepted(tmp_path):
 
 def test_an_overflow_is_flagged_logged_and_its_emission_fired_again(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("audio_overflow", pose=1))
-    assert listener.warnings().count("says audio was lost before") == 1
+    assert listener.warnings().count("of the recording: the sound device says so") == 1
     with Session.open(tmp_path / "s.h5") as session:
         assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_OVERFLOW) == 1
         assert session.emissions["expected_sample"][session.emissions["accepted"] == 0].tolist() == [-1]
@@ -196,7 +196,9 @@ def test_a_board_that_is_never_found_ends_the_wait(tmp_path):
 
 def test_a_picture_too_noisy_for_the_limit_says_which_limit(tmp_path):
     found = small_rig(capture={"still_px": 0.001, "pose_timeout_s": 3})
-    with pytest.raises(errors.CaptureQualityError, match=r"board is moving \([0-9.]+ px\): .* raise capture.still_px"):
+    with pytest.raises(
+        errors.CaptureQualityError, match=r"board is moving \(moved by [0-9.]+ px\): .* raise capture.still_px"
+    ):
         captured(tmp_path / "s.h5", found)
 
 
@@ -204,7 +206,7 @@ def test_a_picture_that_stays_blurred_says_what_helps(tmp_path):
     found = small_rig(capture={"max_blur_px": 0.5, "pose_timeout_s": 3})
     with pytest.raises(
         errors.CaptureQualityError,
-        match=r"board is blurred \(0\.\d+ px\): focus the camera .* raise capture.max_blur_px",
+        match=r"board is blurred \(blur 0\.\d+ px\): focus the camera .* raise capture.max_blur_px",
     ):
         captured(tmp_path / "s.h5", found)
 

@@ -1,13 +1,16 @@
 """rig-check: each fault of the simulated bench, of the real board and of missing devices is named, with its remedy."""
 
 import json
+import re
 import subprocess
 import sys
+from io import StringIO
 
 import numpy as np
 import pytest
 import yaml
 from capturing import rig_text, small_description
+from rich.console import Console
 from scripted_board import HELLO, ScriptedBoard
 from simboard import running_board
 
@@ -16,8 +19,10 @@ from acquire.doctor.checkup import check_up
 from acquire.doctor.cli import cli
 from acquire.doctor.hearing import Hearing
 from acquire.doctor.row import Part, Row, State, exit_code, refusal
+from acquire.doctor.table import LiveTable, hearing_table
 from acquire.errors import DeviceError
 from rigs.command import run
+from rigs.library import FoundDescription
 
 SIX_BUZZERS = [
     {"id": 1 + 3 * row + column, "position_m": (-0.045 + 0.145 * column, -0.045 + 0.215 * row, -0.005)}
@@ -229,10 +234,38 @@ def test_the_command_prints_one_line_a_row_into_a_pipe(tmp_path, monkeypatch, ca
             "and that audio.channels names an input that is there"
         )
     ]
-    assert lines[-1].startswith("not ready: mend 1 of ")
-    table = [line.split() for line in lines if line.startswith(" " * 9)]
+    assert re.fullmatch(r"not ready: mend 1 of \d+ \(channel 3\), then run rig-check again", lines[-1])
+    table = [line.split() for line in lines if line.startswith(" " * 5)]
     assert [line[0] for line in table] == ["channel", *"12345678"]
     assert table[3][1:] == ["none", "-", "-"]
+
+
+def test_the_table_of_six_buzzers_fits_seventy_columns():
+    figures = np.full((8, 6), -94.0)
+    tables = {"level_dbfs": figures, "snr_db": -figures / 8, "onset_s": figures, "clipped": figures > 0}
+    hearing = Hearing(
+        channels=tuple(range(1, 9)),
+        buzzers=tuple(range(1, 7)),
+        noise_dbfs=np.full(8, -90.0),
+        sample_rate_hz=48000.0,
+        **tables,
+    )
+    console = Console(file=StringIO(), width=70)
+    console.print(hearing_table(hearing))
+    lines = console.file.getvalue().splitlines()
+    assert lines[0].split() == ["channel", "noise", *(word for buzzer in range(1, 7) for word in ("bz", str(buzzer)))]
+    assert len(lines) == 9
+    assert "…" not in "".join(lines)
+
+
+def test_the_last_line_names_what_is_to_be_mended_and_of_many_the_first(capsys):
+    table = LiveTable(FoundDescription("", small_description(), "rig.yaml", "--rig"), Console(highlight=False))
+    for channel in range(1, 7):
+        table.add(Row(Part.SOUND, f"channel {channel}", State.BAD, "dead", "check it"))
+    table.end()
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        "not ready: mend 6 of 6 (channel 1, channel 2, channel 3, channel 4, 2 more), then run rig-check again"
+    )
 
 
 def test_json_holds_the_same_for_a_machine(tmp_path, monkeypatch, capsys):
@@ -274,3 +307,10 @@ def test_signal_to_noise_ratio_and_level_follow_the_room(tmp_path):
     assert quiet.snr_db - loud.snr_db == pytest.approx(20, abs=1.5)  # the noise is drawn anew
     assert loud.noise_dbfs - quiet.noise_dbfs == pytest.approx(20, abs=0.2)
     assert quiet.level_dbfs == pytest.approx(loud.level_dbfs, abs=0.2)
+
+
+def test_digital_silence_on_all_microphones_is_named(tmp_path):
+    dead = [{"kind": "dead_channel", "channel": channel} for channel in range(1, 9)]
+    rows, _ = checked(tmp_path, small_description(simulation={"faults": dead}))
+    [row] = [row for row in rows if row.state is State.BAD]
+    assert (row.subject, row.finding) == ("microphones", "all deliver digital silence")

@@ -1,5 +1,6 @@
 """What a capture does about each fault: go on, wait, or stop, with a line for the operator and a row in the log."""
 
+import time
 from collections import namedtuple
 from dataclasses import replace
 
@@ -8,9 +9,12 @@ import pytest
 from capturing import captured, small_rig, with_fault
 
 from acquire import capture as capture_module
-from acquire.errors import DeviceError, DiskShortError, InterruptedCaptureError
+from acquire.clock import MonotonicClock
+from acquire.errors import CaptureQualityError, DeviceError, DiskShortError, InterruptedCaptureError
+from rigs.errors import SessionWriteError, TargetError
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
+from rigs.session.writer import SessionWriter
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -113,7 +117,7 @@ def test_a_frozen_camera_is_opened_again_and_the_pose_repeated(tmp_path):
 
 def test_samples_lost_without_a_word_flag_a_gap_and_fire_again(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("clock_jump", pose=1))
-    assert listener.warnings().count("the clock says audio was lost before") == 1
+    assert listener.warnings().count("of the recording: the clock says so") == 1
     with Session.open(tmp_path / "s.h5") as session:
         assert session.audio_blocks["flags"][gaps(session)].tolist() == [FLAG_GAP]
         assert np.diff(session.audio_blocks["host_time_s"]).max() > 0.25
@@ -143,7 +147,8 @@ def test_a_disk_that_runs_short_ends_the_session_well(tmp_path, monkeypatch):
     free = iter([10**12] * 5)
     monkeypatch.setattr("acquire.disk.shutil.disk_usage", lambda _: Usage(0, 0, next(free, 70_000_000)))
     with pytest.raises(
-        DiskShortError, match=r"the disk is nearly full \(70 MB left\): free some space .* saved in"
+        DiskShortError,
+        match=r"disk is nearly full \(70 MB left, at least \d+ MB needed\): free .* saved in .*; go on with --resume$",
     ) as end:
         captured(tmp_path / "s.h5")
     assert end.value.exit_code == 3
@@ -172,3 +177,58 @@ def test_a_session_that_may_not_fit_is_warned_of(tmp_path, monkeypatch):
     with Session.open(tmp_path / "t.h5") as session:
         assert "this session may take 2" in log_lines(session)
         assert " GB, the disk has room for 8.9 GB: free some space or choose another disk" in log_lines(session)
+
+
+def test_a_folder_on_no_disk_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("acquire.disk.shutil.disk_usage", lambda _: Usage(0, 0, 0))
+    with pytest.raises(TargetError, match="is no disk: choose another folder"):
+        captured(tmp_path / "s.h5")
+
+
+def test_a_disk_that_refuses_all_the_same_names_resume(tmp_path, monkeypatch):
+    def refuse(writer, **_):
+        raise SessionWriteError("s.h5: No space left on device")
+
+    monkeypatch.setattr(SessionWriter, "append_emission", refuse)
+    with pytest.raises(SessionWriteError, match=r"No space left on device; 0 poses saved in .*; go on with --resume$"):
+        captured(tmp_path / "s.h5")
+
+
+def test_a_second_ctrl_c_tells_what_is_in_the_file_and_how_to_go_on(tmp_path, monkeypatch):
+    def interrupt(writer, **_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SessionWriter, "append_emission", interrupt)
+    with pytest.raises(
+        InterruptedCaptureError, match=r"^interrupted at once; 0 poses saved in .*; go on with --resume$"
+    ):
+        captured(tmp_path / "s.h5")
+
+
+def test_a_wish_to_stop_is_heard_while_a_device_is_being_opened(tmp_path):
+    rig = capture_module.choose_devices(small_rig().description)
+
+    class Hanging:
+        def __getattr__(self, name):
+            return getattr(rig.camera, name)
+
+        def open(self):
+            time.sleep(30)
+
+    monkeyed = replace(rig, camera=Hanging(), clock=MonotonicClock())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(capture_module, "choose_devices", lambda *_, **__: monkeyed)
+        with pytest.raises(InterruptedCaptureError, match="interrupted before the devices were open: nothing was rec"):
+            captured(tmp_path / "s.h5", stop_wanted=lambda: True)
+    assert not (tmp_path / "s.h5").exists()
+
+
+def test_digital_silence_on_all_microphones_is_named(tmp_path):
+    channels = small_rig().description.audio.channels
+    found = small_rig(simulation={"faults": [{"kind": "dead_channel", "channel": each} for each in channels]})
+    with pytest.raises(CaptureQualityError, match="all microphones deliver digital silence: unmute"):
+        captured(tmp_path / "s.h5", found)
+    with Session.open(tmp_path / "s.h5") as session:
+        lines = log_lines(session).splitlines()
+    assert sum(line.startswith("all microphones deliver digital silence: unmute") for line in lines) == 1
+    assert "check its cable and plug" not in "".join(lines)

@@ -51,14 +51,14 @@ def bench(tmp_path):
         yield bench
 
 
-def capture_on(bench, path):
+def capture_on(bench, path, *, device_wait_s=30, **options):
     found = small_rig(
         trigger={"driver": "serial", "port": os.fspath(bench.path)},
         board={"buzzers": BUZZERS},
-        capture={"still_s": 0.2, "poses": 2},
+        capture={"still_s": 0.2, "poses": 2, "device_wait_s": device_wait_s},
         simulation={"faults": []},
     )
-    capture(found, path, screen=bench)
+    capture(found, path, screen=bench, **options)
 
 
 def accepted(session):
@@ -98,3 +98,38 @@ def test_another_firmware_after_a_reconnection_ends_the_session_with_exit_code_4
     assert end.value.exit_code == 4
     with Session.open(tmp_path / "s.h5") as session:
         assert session.complete
+
+
+def test_a_board_that_answers_late_and_in_pieces_is_waited_for(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_hello._TRY_S", 0.1)
+    babbler = ScriptedBoard(raw=b"123 ok us=42*")
+    bench.deeds = {
+        "pose 1 of 2 is good": bench.unplug,
+        "waiting for the trigger board": lambda: bench.plug_in(babbler),
+    }
+    late = {"n": 0}
+
+    def look(status):
+        Bench.show(bench, status)
+        late["n"] += status.state.value == "reconnecting"
+        if late["n"] == 60:
+            bench.unplug()
+            bench.plug_in()
+
+    bench.show = look
+    capture_on(bench, tmp_path / "s.h5")
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.poses["accepted"].sum() == 2
+
+
+def test_what_never_makes_sense_ends_the_session_with_exit_code_4_when_the_wait_is_over(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_hello._TRY_S", 0.1)
+    babbler = ScriptedBoard(raw=b"grbl 1.1h")
+    bench.deeds = {
+        "pose 1 of 2 is good": bench.unplug,
+        "waiting for the trigger board": lambda: bench.plug_in(babbler),
+    }
+    with pytest.raises(
+        FirmwareError, match=r"not come back within 1 s.*is not the firmware buzzer-board.*1 pose saved"
+    ):
+        capture_on(bench, tmp_path / "s.h5", device_wait_s=1)

@@ -12,10 +12,10 @@ from capturing import Listener, captured, rig_text, small_description, small_rig
 from acquire import capture as capturing
 from acquire.capture import capture
 from acquire.cli import cli
-from acquire.errors import CaptureQualityError, DeviceError, InterruptedCaptureError
+from acquire.errors import CaptureQualityError, DeviceError, DiskShortError, InterruptedCaptureError
 from acquire.resume import look_into
 from rigs.command import run
-from rigs.errors import RigError, TargetError
+from rigs.errors import RigError
 from rigs.session import layout
 from rigs.session import recover as recovering
 from rigs.session.journal import journal_path
@@ -234,8 +234,9 @@ def test_a_device_that_fails_at_once_leaves_the_old_file(path, monkeypatch):
 
 def test_a_full_disk_is_told_before(path, monkeypatch):
     content = path.read_bytes()
-    monkeypatch.setattr(recovering.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10))
-    with pytest.raises(TargetError, match=r"the copy needs 0\.\d\d GB and this disk has 0\.00 GB free"):
+    free = path.stat().st_size + 64_000_000  # room for the copy, but not for what comes after it
+    monkeypatch.setattr(recovering.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, free))
+    with pytest.raises(DiskShortError, match=r"nearly full \(\d+ MB left, at least \d+ MB needed\)"):
         resumed(path, poses=3)
     left_alone(path, content)
 
@@ -277,6 +278,46 @@ def test_the_same_rig_with_another_comment_is_taken(path, tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text(f"# mine\n{small_rig().text}", encoding="utf-8")
     assert rig_capture("--session", path, "--resume", "--rig", rig, "--poses", 3) == 0
+
+
+def test_a_device_at_another_address_is_the_same_one_and_noted(path, tmp_path, capsys):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig_text(small_description(trigger={"port": "/dev/ttyACM1"})), encoding="utf-8")
+    assert rig_capture("--session", path, "--resume", "--rig", rig, "--poses", 3) == 0
+    line = "trigger.port is now '/dev/ttyACM1', it was 'auto'"
+    assert line in capsys.readouterr().out
+    with Session.open(path) as session:
+        assert line.encode() in session.log["text"]
+        assert session.poses["accepted"].sum() == 3
+
+
+@pytest.mark.parametrize(("section", "key", "value"), [("camera", "source", "/dev/video2"), ("audio", "device", None)])
+def test_camera_and_sound_device_may_have_another_address(path, section, key, value):
+    named = small_rig(**{section: {key: value or {"name": "the same"}}})
+    description = look_into(path, named, None).found.description
+    assert getattr(getattr(description, section), key) == getattr(getattr(named.description, section), key)
+
+
+def test_a_device_that_is_missing_names_the_way_to_another_address(path, monkeypatch):
+    from acquire.devices.simulated.trigger import SimulatedTrigger
+
+    def refuse(_):
+        raise DeviceError("/dev/ttyACM0: there is no such port")
+
+    monkeypatch.setattr(SimulatedTrigger, "open", refuse)
+    with pytest.raises(DeviceError, match=r"no such port; if it has another address now, .*: --resume --rig"):
+        resumed(path, poses=3)
+
+
+def test_how_many_poses_were_wanted_is_remembered(tmp_path, capsys):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig_text(small_description()), encoding="utf-8")
+    assert rig_capture("--session", tmp_path / "s1", "--rig", rig, "--poses", 1) == 0
+    assert rig_capture("--session", tmp_path / "s1", "--resume") == 2
+    assert "has 1 good poses already" in capsys.readouterr().err
+    assert rig_capture("--session", tmp_path / "s1", "--resume", "--poses", 2) == 0
+    with Session.open(tmp_path / "s1.h5") as session:
+        assert session.versions["poses wanted"] == "2"
 
 
 def test_another_seed_is_refused(path, capsys):

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from conftest import MICROPHONES_M, make_world, write_measured_session
 from measured_rig import CHANNELS, make_rig
 
@@ -44,15 +43,11 @@ def test_poses_that_tell_too_little_are_refused(poses):
         answered(make_rig(0, poses=poses))
 
 
-def test_one_pose_with_given_intrinsics_says_how_little_it_knows(tmp_path, simulated_description, monkeypatch):
+def test_the_same_pose_again_and_again(tmp_path, simulated_description, capsys, monkeypatch):
     monkeypatch.setattr("conftest.board_poses", lambda n, _: SAME[:n])
-    path = write_measured_session(tmp_path / "s1.h5", simulated_description, n_poses=8)
-    assert run("rig-calibrate", command, [str(path)]) == 0
-    result = yaml.safe_load(path.with_suffix(".calib.yaml").read_text())
-    assert any("tilt the board by 30 degrees both ways" in warning for warning in result["warnings"])
-    stated_m = np.sqrt(np.mean([np.sum(np.square(mic["std_m"])) for mic in result["microphones"]]))
-    assert stated_m > 0.01
-    assert result["evaluation"]["rmse_m"] < 2 * stated_m
+    line = refused(capsys, write_measured_session(tmp_path / "s1.h5", simulated_description, n_poses=8))
+    assert "focal length and depth cannot be told apart" in line
+    assert "capture more poses" in line
 
 
 def test_one_microphone_that_heard_nothing(tmp_path, simulated_description, capsys):
@@ -100,7 +95,7 @@ def test_intrinsics_that_are_right_may_be_held():
     assert np.sqrt(np.mean((answer.microphones_m - rig.truth.microphones_m) ** 2)) < 0.001
 
 
-@pytest.mark.parametrize("hold", [(), ("speed",), ("speed", "scale", "buzzers")])
+@pytest.mark.parametrize("hold", [(), ("speed", "scale", "buzzers")])
 def test_a_speed_of_sound_that_contradicts_the_rest_is_let_go_and_named(hold):
     rig = make_rig(0)
     medium = rig.description.medium.model_copy(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigs.session.layout import Truth
 from rigs.waveform import Waveform
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -195,6 +198,9 @@ class Clock(Protocol):
 
     def sleep_s(self, duration_s: float) -> None:
         """Let time pass."""
+
+    def wait_for(self, call: Callable[[], T], meanwhile: Callable[[], None]) -> T:
+        """Return what a device's call returns, or raise what it raises; `meanwhile` is called while it waits."""
 
 
 class Operator(Protocol):

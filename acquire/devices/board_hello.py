@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from threading import Event
 
 from acquire.devices.board_link import BoardLink, BoardRestartedError, NoAnswerError
 from acquire.devices.wire import PROTOCOL_VERSION
-from acquire.errors import DeviceError, FirmwareError
+from acquire.errors import DeviceError, FirmwareError, UnknownFirmwareError
 from acquire.ports import flash_command, has_modem_lines, open_port
 from rigs.waveform import Waveform
 
@@ -35,8 +36,14 @@ class Hello:
         return f"{FIRMWARE} {self.version} on {self.board}"
 
 
-def connect(path: str) -> tuple[BoardLink, Hello]:
+def connect(path: str, is_given_up: Event | None = None) -> tuple[BoardLink, Hello]:
     """Open a port, wait for its board to start, and ask what it is.
+
+    Parameters
+    ----------
+    path : str
+    is_given_up : threading.Event, optional
+        As `BoardLink` has it.
 
     Raises
     ------
@@ -44,7 +51,7 @@ def connect(path: str) -> tuple[BoardLink, Hello]:
         As `greet` and `open_port` do; the port is closed again.
     """
     port = open_port(path)
-    link = BoardLink(port)
+    link = BoardLink(port, is_given_up)
     try:
         return link, greet(link, boot_s=_BOOT_S if has_modem_lines(port) else _NO_RESET_S)
     except BaseException:
@@ -64,9 +71,9 @@ def greet(link: BoardLink, *, boot_s: float) -> Hello:
     Raises
     ------
     FirmwareError
-        Something else answers, or a firmware of another protocol.
+        Another firmware answers, or one of another protocol; UnknownFirmwareError where nothing of it is understood.
     DeviceError
-        Nothing answers, or the port is gone.
+        Nothing answers, or only to what was asked long before, or the port is gone.
     """
     link.wait_for_boot(boot_s)
     for _ in range(_TRIES):
@@ -77,8 +84,10 @@ def greet(link: BoardLink, *, boot_s: float) -> Hello:
         if not reply.error:
             return _checked(reply.fields, link.path)
     remedy = f"put ours on it: {flash_command(link.path)}"
+    if link.n_messages:
+        raise DeviceError(f"{link.path}: the board answers too late: unplug it once, and close other programs")
     if link.n_bytes:
-        raise FirmwareError(f"{link.path}: what answers there is not the firmware {FIRMWARE}: {remedy}")
+        raise UnknownFirmwareError(f"{link.path}: what answers there is not the firmware {FIRMWARE}: {remedy}")
     raise DeviceError(
         f"{link.path}: no answer; is this the buzzer board? If it is new or ran another program, {remedy}"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -56,23 +57,26 @@ class BoardLink:
     Parameters
     ----------
     port : serial.Serial
+    is_given_up : threading.Event, optional
+        Once somebody sets it, commands and waiting end, without an answer.
 
     Attributes
     ----------
     seq : int
         Of the last command.
-    n_bytes : int
-        Received so far, whatever they were.
+    n_bytes, n_messages : int
+        Received so far, whatever they were; lines whose checksum fits.
     n_stale : int
         Replies that came too late, or to nobody's command.
     last_on, last_fault : Event or None
         The newest of their kind.
     """
 
-    def __init__(self, port: Serial) -> None:
+    def __init__(self, port: Serial, is_given_up: threading.Event | None = None) -> None:
         self._port, self._decoder = port, LineDecoder()
+        self._is_given_up = is_given_up or threading.Event()
         self.seq = 0
-        self.n_bytes, self.n_stale = 0, 0
+        self.n_bytes, self.n_messages, self.n_stale = 0, 0, 0
         self.last_on: Event | None = None
         self.last_fault: Event | None = None
 
@@ -97,9 +101,10 @@ class BoardLink:
         self.catch_up()
         self.seq = next(_NUMBERS) % (SEQUENCE_NUMBERS - 1) + 1  # 0 is for lines that the board could not read
         sent_s = time.monotonic()
-        self._send(encode(self.seq, verb, *arguments))
+        if not self._is_given_up.is_set():
+            self._send(encode(self.seq, verb, *arguments))
         is_late = False
-        while not is_late:
+        while not (is_late or self._is_given_up.is_set()):
             is_late = time.monotonic() > sent_s + limit_s  # one look more: the host itself may have stood still
             for message in self._receive():
                 if isinstance(message, Reply) and self._is_ours(message):
@@ -131,7 +136,7 @@ class BoardLink:
     def wait_for_boot(self, timeout_s: float) -> bool:
         """Wait until the board says that it has started; False when it does not. Raises PortLostError."""
         end_s = time.monotonic() + timeout_s
-        while time.monotonic() < end_s:
+        while time.monotonic() < end_s and not self._is_given_up.is_set():
             try:
                 self._receive()
             except BoardRestartedError:
@@ -162,6 +167,7 @@ class BoardLink:
             raise self._lost(error) from error
         self.n_bytes += len(received)
         messages = self._decoder.feed(received)
+        self.n_messages += len(messages)
         for message in messages:
             if isinstance(message, Event):
                 self._note(message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from threading import Event, Lock
 
 from acquire.devices.base import ClockFit, EmissionStart, Ping
 from acquire.devices.board_clock import BoardClock
@@ -18,6 +19,7 @@ from rigs.waveform import Waveform
 _FIRST_PINGS = 8
 _TRIES = 3
 _QUIET_S = 0.5  # after an emission of which nobody knows when it began
+_LEFT_BEHIND_S = 0.2  # for the reply of a board that does not answer another thread either
 _OVERDUE_S, _LOOK_S = 2.0, 0.02  # how long a sound may outlast its time by the host's clock
 _PLAYS_COUNTED = 1 << 16
 
@@ -46,6 +48,7 @@ class SerialBoard:
         self._over_s = 0.0  # when the last sound should end
         self.clock = BoardClock()
         self._pings: list[Ping] = []  # that nobody has asked for yet
+        self._is_given_up, self._turn = Event(), Lock()  # whoever waits for the board may be left behind
 
     def open(self) -> str:
         """Connect and return the firmware's name and version.
@@ -57,7 +60,8 @@ class SerialBoard:
         FirmwareError
             The firmware does not fit.
         """
-        self._link, hello = self._connected()
+        with self._turn:
+            self._link, hello = self._connected()
         return hello.describe()
 
     def play(self, buzzer: int, waveform: Waveform) -> EmissionStart:
@@ -73,14 +77,14 @@ class SerialBoard:
         link = self._needed_link()
         if not 1 <= buzzer <= self._n_buzzers:
             raise DeviceError(f"trigger board: there is no buzzer {buzzer}; this board has 1 to {self._n_buzzers}")
-        with self._letting_go():
+        with self._turn, self._letting_go():
             self._ping(link)
             return self._start(link, buzzer, waveform)
 
     def read_clock(self) -> list[Ping]:
         """Read the board's clock once more, and return all readings since the last call. Raises as `play` does."""
         link = self._needed_link()
-        with self._letting_go():
+        with self._turn, self._letting_go():
             self._ping(link)
         pings, self._pings = self._pings, []
         return pings
@@ -90,16 +94,20 @@ class SerialBoard:
         return self.clock.fit()
 
     def close(self) -> None:
-        """Silence the board and let it go; safe to call twice."""
-        link, self._link = self._link, None
-        if link is None:
-            return
-        try:
-            link.ask("stop")
-        except DeviceError:
-            pass  # a board that is gone is silent within its own limit
-        finally:
-            link.close()
+        """Silence the board and let it go; safe to call twice, and while another thread waits for the board."""
+        timeout_s = _LEFT_BEHIND_S if self._turn.locked() else None
+        self._is_given_up.set()
+        with self._turn:
+            self._is_given_up.clear()
+            link, self._link = self._link, None
+            if link is None:
+                return
+            try:
+                link.ask("stop", timeout_s=timeout_s)
+            except DeviceError:
+                pass  # a board that is gone is silent within its own limit
+            finally:
+                link.close()
 
     def _needed_link(self) -> BoardLink:
         if self._link is None:
@@ -118,7 +126,7 @@ class SerialBoard:
             raise
 
     def _connected(self) -> tuple[BoardLink, Hello]:
-        link, hello = connect(choose_port(self._wanted, serial_ports()).path)
+        link, hello = connect(choose_port(self._wanted, serial_ports()).path, self._is_given_up)
         try:
             check_fits(hello, self._waveform, self._buzzers)
             self._settle(link)

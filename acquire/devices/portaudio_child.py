@@ -1,7 +1,7 @@
 """The recorder: PortAudio in a process of its own, that writes what it hears to a pipe.
 
-The only module that imports sounddevice. It runs as a program, started by `recorder` and `sound_devices`. So a host
-that is busy, or waits for its disk, starves no callback; a driver that hangs or crashes is ended and started anew,
+The only module that records with sounddevice. It runs as a program, started by `recorder` and `sound_devices`. So a
+host that is busy, or waits for its disk, starves no callback; a driver that hangs or crashes is ended and started anew,
 which is also the only sure way to see a device that was plugged in later; and what the libraries below print reaches
 nobody. A recording ends as soon as standard input does, that is with the program that started it, however that ended.
 
@@ -26,6 +26,7 @@ from typing import Any, BinaryIO
 # frames, and 1 if some were lost before them; host monotonic time of the callback; PortAudio's ADC and current time.
 BLOCK = struct.Struct("<IIddd")
 QUEUE_S = 20.0  # how long the reader may be away
+_ROOM_SHARE = 0.1
 LATENCY_S = 0.2  # callbacks come every 50 ms, and may be as late as this
 
 
@@ -35,20 +36,23 @@ class Intake:
     Parameters
     ----------
     max_frames : int
-        Beyond so many waiting frames new ones are dropped, and the next that fits says so.
+        Beyond so many waiting frames new ones are dropped until there is room for a good part of them again, so that
+        it is one loss; the next block says so.
     """
 
     def __init__(self, max_frames: int) -> None:
         self._max_frames = max_frames
         self._queue: SimpleQueue[tuple[bytes, bytes] | None] = SimpleQueue()
         self._n_put, self._n_taken = 0, 0  # each written by one thread only
-        self._has_lost = False
+        self._has_lost = self._is_full = False
 
     def callback(self, samples: Any, frames: int, times: Any, status: Any) -> None:
         """Copy a buffer into the queue; PortAudio calls this, in a thread of its own."""
         came_s = time.monotonic()
         self._has_lost |= bool(status.input_overflow or status.input_underflow)
-        if self._n_put - self._n_taken + frames > self._max_frames:
+        room = self._max_frames - (self._n_put - self._n_taken)
+        self._is_full = frames > room or (self._is_full and room < _ROOM_SHARE * self._max_frames)
+        if self._is_full:
             self._has_lost = True
             return
         head = BLOCK.pack(frames, self._has_lost, came_s, times.inputBufferAdcTime, times.currentTime)

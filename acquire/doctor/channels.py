@@ -48,6 +48,14 @@ def _row(subject: str, state: State, finding: str, remedy: str = "", **figures: 
 def _unheard(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
     """Name silent buzzers and dead channels, and what is left of pairs that do not hear one another."""
     heard = hearing.heard()
+    if not sounds.samples[:, : len(hearing.channels)].any():
+        yield _row(
+            "microphones",
+            State.BAD,
+            "all deliver digital silence",
+            "unmute the sound device, switch on its phantom power, or correct audio.device and audio.channels",
+        )
+        return
     if not heard.any():
         yield _row(
             "microphones",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import click
@@ -22,11 +23,13 @@ _STYLES = {State.OK: "green", State.LOOK: "yellow", State.BAD: "bold red"}
 _SUBJECT_WIDTH = 15
 _NAMED = 4  # buzzers whose columns have room for the whole word
 _QUIET_SNR_DB, _NO_SNR_DB = 15.0, 3.0
-_LEGEND = "\n       level in dBFS / signal over noise in dB, by channel and buzzer (bz)"
+_LEGEND = "\n   level in dBFS / signal over noise in dB, by buzzer (bz)"
+_CHANNEL_WIDTH = 12  # with six buzzers the table fits 70 columns
+_NAMED_ROWS = 4  # as many as the last line repeats
 _ENDS = {
     State.OK: "everything is ready: rig-capture --session NAME",
-    State.LOOK: "ready, but look at {look} of {n}: rig-capture --session NAME",
-    State.BAD: "not ready: mend {bad} of {n}, then run rig-check again",
+    State.LOOK: "ready, but look at {k} of {n} ({which}): rig-capture --session NAME",
+    State.BAD: "not ready: mend {k} of {n} ({which}), then run rig-check again",
 }
 
 
@@ -77,7 +80,8 @@ class LiveTable:
         self.close()
         counts = Counter(row.state for row in self._rows)
         worst = max(counts, key=list(State).index)
-        text = _ENDS[worst].format(n=len(self._rows), look=counts[State.LOOK], bad=counts[State.BAD])
+        which = _subjects([row for row in self._rows if row.state is worst])
+        text = _ENDS[worst].format(n=len(self._rows), k=counts[worst], which=which)
         self._console.print(Text(f"\n{text}", style=_STYLES[worst]), soft_wrap=True)
         return exit_code(self._rows)
 
@@ -121,9 +125,9 @@ class JsonTable:
 
 def hearing_table(hearing: Hearing) -> Table:
     """Draw level and signal-to-noise ratio of each channel and buzzer; a dash where it is not heard."""
-    table = Table(box=None, padding=(0, 1))
-    table.add_column("channel", justify="right", style="dim", width=_SUBJECT_WIDTH)
-    table.add_column("noise", justify="right", style="dim")
+    table = Table(box=None, padding=(0, 1), collapse_padding=True)
+    table.add_column("channel", justify="right", style="dim", width=_CHANNEL_WIDTH)
+    table.add_column("noise", justify="right", style="dim", no_wrap=True)
     for buzzer in hearing.buzzers:
         table.add_column(
             f"buzzer {buzzer}" if len(hearing.buzzers) <= _NAMED else f"bz {buzzer}", justify="right", no_wrap=True
@@ -133,6 +137,12 @@ def hearing_table(hearing: Hearing) -> Table:
         noise_dbfs = hearing.noise_dbfs[column]
         table.add_row(str(channel), f"{noise_dbfs:.0f}" if noise_dbfs > SILENCE_DBFS else "none", *cells)
     return table
+
+
+def _subjects(rows: Sequence[Row]) -> str:
+    """List what rows are about; of many the first."""
+    more = [f"{len(rows) - _NAMED_ROWS} more"] if len(rows) > _NAMED_ROWS else []
+    return ", ".join([*(row.subject for row in rows[:_NAMED_ROWS]), *more])
 
 
 def _cell(hearing: Hearing, column: int, k: int) -> Text:

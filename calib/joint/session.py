@@ -12,6 +12,7 @@ from calib.camera import View
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
+from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
 from calib.joint.bias import without_bias
@@ -25,6 +26,7 @@ from calib.joint.problem import JointProblem
 from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
+from calib.joint.strays import stray_doubts
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
 from calib.joint.threads import on_one_thread
@@ -76,10 +78,14 @@ def answer_jointly(
     ------
     NotEnoughDataError, NotConvergedError
     """
-    problem, guess = assemble(
-        description, view, corners, tdoas, channels,
-        hold=settings.hold, find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
-    )  # fmt: skip
+
+    def posed(hold: tuple[str, ...], exact: tuple[str, ...]) -> tuple[JointProblem, Unknowns]:
+        return assemble(
+            description, view, corners, tdoas, channels, hold=hold, exact=exact,
+            find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
+        )  # fmt: skip
+
+    problem, guess = posed(settings.hold, settings.exact)
     solution, rival_m = _solved(problem, guess, view, settings, before)
     check_held_intrinsics(solution, camera_std(description.camera))
     solution, suspects = find_suspects(solution)
@@ -91,10 +97,11 @@ def answer_jointly(
     problem = solution.problem
     covariance = shared_covariance(problem, solution.at, solution.weights())
     check_determined(solution, covariance, len(channels))
-    if microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
+    if problem.onsets is None and microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
         solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
     fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
     at = solution.at
+    strays = stray_doubts(solution, posed((), ())[0]) if settings.holds else []
     return Answer(
         microphones_m=at.microphones_m[: len(channels)],
         array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
@@ -104,6 +111,7 @@ def answer_jointly(
         residual=fitted.residual(),
         warnings=[
             *_rival_doubts(at.microphones_m, rival_m, channels),
+            *strays,
             *doubts,
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
@@ -118,6 +126,7 @@ def answer_jointly(
         continuation=Continuation(at, view.pose, solution.scales.arrivals),
         speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
         speed_stds_m_s=tuple(np.sqrt(np.diag(covariance)[at.blocks.speed]).tolist()),
+        evidence=_evidence(solution, chosen, corners.only(np.isin(corners.pose, view.pose)), len(channels)),
     )
 
 
@@ -145,6 +154,32 @@ def refined_view(view: View, solution: JointSolution) -> View:
     return View(intrinsics, view.source, view.pose, poses, rms_px)
 
 
+def _evidence(solution: JointSolution, chosen: PairTdoas, corners: PoseCorners, n_mics: int) -> Evidence:
+    at, table = solution.at, solution.problem.corners
+    seen_px = corners.corners_px
+    residuals_s = solution.residuals_s()
+    if chosen.alone:
+        residuals_s = _with_arrivals_of_rejected_pairs(residuals_s, solution, chosen)
+    return Evidence(
+        pose=chosen.pose,
+        buzzer=chosen.buzzer,
+        residuals_s=residuals_s[:, :n_mics],
+        used=solution.used_arrivals[:, :n_mics],
+        distances_m=solution.problem.arrivals.flights(at).distances_m[:, :n_mics],
+        corners_px=seen_px,
+        corner_residuals_px=np.full_like(seen_px, np.nan) if table is None else table.residuals_px(at),
+    )
+
+
+def _with_arrivals_of_rejected_pairs(residuals_s: FloatArray, solution: JointSolution, chosen: PairTdoas) -> FloatArray:
+    """Fill in what became of no arrival, since its pairs were rejected before."""
+    by_pairs_s = arrivals_of_differences(chosen.residuals_s(solution), chosen.pairs, solution.at.blocks.n_mics)
+    fitting = np.where(np.isfinite(residuals_s), by_pairs_s, np.nan)
+    present = np.isfinite(fitting)
+    centre_s = np.where(present, fitting, 0.0).sum(axis=1) / np.maximum(present.sum(axis=1), 1)
+    return np.where(np.isfinite(residuals_s), residuals_s, by_pairs_s - centre_s[:, None])
+
+
 def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:
     lost = np.setdiff1d(corners.pose, view.pose).tolist()
     return [
@@ -153,7 +188,10 @@ def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas)
 
 
 def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[Suggestion]:
-    return suggest_poses(solution, description.camera.size_px, n_mics, n_poses)[1] if n_poses else []
+    if not n_poses:
+        return []
+    problem = replace(solution.problem, priors=replace(solution.problem.priors, held=False))
+    return suggest_poses(replace(solution, problem=problem), description.camera.size_px, n_mics, n_poses)[1]
 
 
 def _with_pairs_that_fit(solution: JointSolution, chosen: PairTdoas) -> JointSolution:
