@@ -30,9 +30,9 @@ NAMES = {
     "joint": "joint",
 }
 FIGURES = {
-    "paper_rmse_m": "The paper's figure (root of the mean; microphones 1 to 7 over 8), mm",
-    "rmse_m": "Root mean square error of all microphones, mm",
-    "median_m": "Median of the repetitions' root mean square errors, mm",
+    "paper_rmse_m": "The paper's figure (microphones 1 to 7 over 8; of rounds that came to rest), mm",
+    "rmse_m": "Root mean square error of all microphones, of rounds that came to rest, mm",
+    "median_m": "Median of all rounds' root mean square errors, mm",
     "aligned_median_m": "The same after the best rigid motion of each, mm",
     "bound_m": "Cramer-Rao bound for Gaussian noise of this variance, mm",
     "settled": "Share that came to rest nearby",
@@ -59,7 +59,7 @@ def terminal_page(finished: FinishedStudy, item: str | None = None) -> str:
     """Return the figures that tell most, of some columns where there are many."""
     columns = _columns(finished.summaries)
     chosen = set(columns[:: max(len(columns) // MOST_COLUMNS + 1, 1)])
-    some = [summary for summary in finished.summaries if _column(summary) in chosen]
+    some = [summary for summary in finished.summaries if _column(summary, finished.summaries) in chosen]
     lines = []
     for name in IN_TERMINAL:
         rows = _pivot(some, name)
@@ -96,11 +96,16 @@ def parameters_page(studies: list[StudyDescription]) -> str:
 
 
 def _columns(summaries: list[CaseSummary]) -> list[str]:
-    return list(dict.fromkeys(_column(summary) for summary in summaries))
+    return list(dict.fromkeys(_column(summary, summaries) for summary in summaries))
 
 
-def _column(summary: CaseSummary) -> str:
-    return summary.case.noise if summary.case.n_poses is None else f"{summary.case.n_poses} poses"
+def _column(summary: CaseSummary, summaries: list[CaseSummary]) -> str:
+    """Return the name of a column: the noise and the number of poses, as far as they differ within the study."""
+    case = summary.case
+    words = [case.noise] if len({each.case.noise for each in summaries}) > 1 else []
+    if len({each.case.n_poses for each in summaries}) > 1:
+        words.append("all poses" if case.n_poses is None else f"{case.n_poses} poses")
+    return ", ".join(words) or case.noise
 
 
 def _row(summary: CaseSummary, summaries: list[CaseSummary]) -> str:
@@ -121,7 +126,7 @@ def _pivot(summaries: list[CaseSummary], figure: str) -> dict[tuple[str, str], d
         if np.isnan(value):
             continue
         cells = rows.setdefault((_row(summary, summaries), summary.case.method), {})
-        cells[_column(summary)] = f"{100 * value:.0f} %" if share else _millimetres(value)
+        cells[_column(summary, summaries)] = f"{100 * value:.0f} %" if share else _millimetres(value)
     return rows
 
 

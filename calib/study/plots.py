@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from calib.study.folder import StudyFolder
 from calib.study.pages import NAMES, printed
 from calib.study.run import FinishedStudy
 from calib.study.scene import Scene
@@ -35,7 +34,8 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
-    "svg.hashsalt": "acoustic-camera-rig",
+    "svg.hashsalt": "acoustic-camera-rig",  # the same figure is the same file
+    "svg.fonttype": "none",
 }
 MOST_DRAWN = 2000  # repetitions of a case: box plots tell no more with more of them
 MOST_MM = 2000.0  # more is no answer
@@ -47,9 +47,9 @@ def draw_study(finished: FinishedStudy, item: str | None = None) -> list[Path]:
     folder, summaries = finished.folder, finished.summaries
     with mpl.rc_context(STYLE):
         if len({summary.case.n_poses for summary in summaries}) > 1:
-            return [_save(_against_poses(folder, summaries), folder.path / "poses.svg")]
+            return [_save(_against_poses(finished), folder.path / "poses.svg")]
         if len({summary.scale_s for summary in summaries if summary.scale_s > 0}) > 1:
-            return [_save(_against_noise(folder, summaries, item), folder.path / "noise.svg")]
+            return [_save(_against_noise(finished, item), folder.path / "noise.svg")]
         errors = _save(_boxes(finished), folder.path / "microphones.svg")
         return [errors, _save(_in_space(finished), folder.path / "space.svg")]
 
@@ -59,32 +59,36 @@ def _save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def _series(summaries: list[CaseSummary]) -> list[tuple[str, str, list[CaseSummary]]]:
-    """Return label, method and cases of each line: what shares all but noise and number of poses."""
+def _series(finished: FinishedStudy, along: tuple[str, ...] = ()) -> list[tuple[str, str, list[CaseSummary]]]:
+    """Return label, method and cases of each line: what shares all but the fields of the case that it runs along."""
+    summaries, noises = finished.summaries, finished.folder.study.noises
+    fields = [name for name in ("array", "board", "pose_set", "noise", "n_poses") if name not in along]
 
-    def key(summary: CaseSummary) -> tuple[str, str, str, str, bool]:
-        case = summary.case
-        return case.method, case.array, case.board, case.pose_set, "buzzers" in case.noise
+    def key(summary: CaseSummary) -> tuple[str, ...]:
+        off = getattr(noises[summary.case.noise], "buzzer_std_m", 0.0) > 0 and "noise" in along
+        words = [str(getattr(summary.case, name)) for name in fields]
+        return (summary.case.method, *words, "buzzers off" if off else "")
 
+    differing = [len({getattr(each.case, name) for each in summaries}) > 1 for name in fields]
     found = []
-    for (method, *names, off), group in groupby(sorted(summaries, key=key), key):
-        differing = [
-            f"{field.replace('_', ' ')} {name}"
-            for name, field in zip(names, ("array", "board", "pose_set"), strict=True)
-            if len({getattr(each.case, field) for each in summaries}) > 1
+    for (method, *words, off), group in groupby(sorted(summaries, key=key), key):
+        shown = [
+            f"{name.replace('_', ' ')} {word}"
+            for name, word, tell in zip(fields, words, differing, strict=True)
+            if tell
         ]
-        label = ", ".join([NAMES[method], *differing]) + (", buzzers off" if off else "")
-        found.append((label, method, list(group)))
+        found.append((", ".join(filter(None, [NAMES[method], *shown, off])), method, list(group)))
     return sorted(found, key=lambda each: list(LOOKS).index(each[1]))
 
 
-def _against_noise(folder: StudyFolder, summaries: list[CaseSummary], item: str | None) -> Figure:
+def _against_noise(finished: FinishedStudy, item: str | None) -> Figure:
     figure = Figure(figsize=(6.4, 4.2))
     axes = figure.subplots()
-    as_printed = bool(item and printed(item)) and folder.study.name.endswith("as-published")
+    study = finished.folder.study
+    as_printed = bool(item and printed(item)) and study.name.endswith("as-published")
     shown, words = ("paper_rmse_m", "the paper's figure") if as_printed else ("median_m", "median error")
-    for label, method, cases in _series(summaries):
-        if "buzzers off" in label:
+    for label, method, cases in _series(finished, ("noise",)):
+        if len(cases) < 2:
             continue
         colour, sign = LOOKS[method]
         scale_us = [1e6 * each.scale_s for each in cases]
@@ -111,15 +115,15 @@ def _against_noise(folder: StudyFolder, summaries: list[CaseSummary], item: str 
     axes.set(xscale="log", yscale="log", xlabel="scale of the noise, µs", ylabel=f"{words} of the microphones, mm")
     axes.set_ylim(top=min(axes.get_ylim()[1], MOST_MM))
     _plain_ticks(axes.xaxis, axes.yaxis)
-    axes.set_title(folder.study.title, fontsize=10)
+    axes.set_title(finished.folder.study.title, fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
-def _against_poses(folder: StudyFolder, summaries: list[CaseSummary]) -> Figure:
+def _against_poses(finished: FinishedStudy) -> Figure:
     figure = Figure(figsize=(6.4, 4.2))
     axes = figure.subplots()
-    for label, method, cases in _series(summaries):
+    for label, method, cases in _series(finished, ("n_poses",)):
         colour, sign = LOOKS[method]
         n_poses = [each.case.n_poses or 0 for each in cases]
         axes.plot(
@@ -129,7 +133,7 @@ def _against_poses(folder: StudyFolder, summaries: list[CaseSummary]) -> Figure:
         axes.fill_between(n_poses, lower, upper, color=colour, alpha=0.15, lw=0)
     axes.set(yscale="log", ylim=(10, MOST_MM), xlabel="number of poses", ylabel="error of the microphones, mm")
     _plain_ticks(axes.yaxis)
-    axes.set_title(f"{folder.study.title}: median and quartiles", fontsize=10)
+    axes.set_title(f"{finished.folder.study.title}: median and quartiles", fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
@@ -138,7 +142,7 @@ def _boxes(finished: FinishedStudy) -> Figure:
     figure = Figure(figsize=(6.4, 3.6))
     axes = figure.subplots()
     labels, errors = [], []
-    for label, _, cases in _series(finished.summaries):
+    for label, _, cases in _series(finished):
         for each in cases:
             places_m = _places(finished, each)
             truth_m = finished.scenes[each.case.number].microphones_m
@@ -159,7 +163,7 @@ def _in_space(finished: FinishedStudy) -> Figure:
     axes: Any = figure.add_subplot(projection="3d")
     scene = finished.scenes[finished.summaries[0].case.number]
     _scatter(axes, scene.microphones_m, "o", "grey", "true places", 60)
-    for label, method, cases in _series(finished.summaries):
+    for label, method, cases in _series(finished):
         if method != "search":
             places_m = np.median(_places(finished, cases[0]), axis=0)
             _scatter(

@@ -28,9 +28,10 @@ class CaseSummary:
     n : int
         Repetitions.
     rmse_m, paper_rmse_m : float
-        Roots of the mean squares over all repetitions, diverged ones too; the paper's figure leaves microphone 8 out.
+        Roots of the mean squares over the repetitions that came to rest nearby: one that ran away would be all of it.
+        The paper's figure leaves microphone 8 out.
     median_m, lower_m, upper_m : float
-        Median and quartiles of the repetitions' root mean square errors.
+        Median and quartiles of all repetitions' root mean square errors.
     aligned_median_m : float
         Median after the best rigid motion each: the array's shape alone.
     bound_m : float
@@ -87,8 +88,8 @@ def _summary(case: Case, scale_s: float, values: FloatArray) -> CaseSummary:
         case=case,
         scale_s=scale_s,
         n=len(rmse_m),
-        rmse_m=_root_mean_square(rmse_m),
-        paper_rmse_m=_root_mean_square(paper_m),
+        rmse_m=_root_mean_square(rmse_m[settled > 0]),
+        paper_rmse_m=_root_mean_square(paper_m[settled > 0]),
         median_m=median_m,
         lower_m=lower_m,
         upper_m=upper_m,
@@ -106,7 +107,4 @@ def _quartiles(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _root_mean_square(values: FloatArray) -> float:
-    """Return the root mean square of what was found; values beyond all bounds may make it infinite."""
-    found = values[~np.isnan(values)]
-    with np.errstate(over="ignore"):
-        return float(np.sqrt(np.mean(found**2))) if len(found) else float("nan")
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

@@ -90,7 +90,13 @@ def _client(workers: Workers) -> Iterator[Any]:
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S}s"}))
         if workers.cluster is None:
-            local = LocalCluster(n_workers=workers.number, threads_per_worker=1, dashboard_address=None, memory_limit=0)
+            local = LocalCluster(
+                n_workers=workers.number,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                host="127.0.0.1",
+                memory_limit=0,
+            )
             stack.callback(local.close)
             yield stack.enter_context(Client(local))
             return
