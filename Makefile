@@ -67,7 +67,7 @@ coverage: setup
 
 lock:
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-emit-find-links --no-header \
-	    --extra aislab --group dev --output-file requirements.lock pyproject.toml
+	    --extra aislab --extra study --group dev --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz

@@ -101,13 +101,16 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
 
 def _session_path(session: Path) -> Path:
     """Return the file that --session means; a name that no terminal can show is refused."""
+    from rigs.errors import TargetError
+
     if any(category(sign) in _UNSEEN for sign in str(session)):
         raise click.BadParameter(
             f"{str(session)!a} has a sign that cannot be shown, such as a line's end: choose another name",
             param_hint="--session",
         )
-    named = session.name not in ("", "..") and session.suffix != ".h5"
-    return session.with_name(f"{session.name}.h5") if named else session
+    if session.name in ("", ".."):
+        raise TargetError(f"{session}: a folder, not a file: name a file")
+    return session if session.suffix == ".h5" else session.with_name(f"{session.name}.h5")
 
 
 def _check_new(path: Path) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 DIFFER = 5  # the exit code where two results do
+NOT_ALL_GOOD = 5  # of the sessions of --each
 MOST_NAMES = 3  # of sessions, in the name of their result
 BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
@@ -76,6 +77,12 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     is_flag=True,
     help="Solve again with every pose that is being captured; prints a line of JSON each time.",
 )
+@click.option(
+    "--each",
+    is_flag=True,
+    help="Calibrate each session by itself, all cores at once; a result each, and a table (-o) [calibrations.csv].",
+)
+@click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
 @click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
@@ -101,6 +108,8 @@ def command(
     suggest_poses: int,
     ignore_sync: bool,
     follow: bool,
+    each: bool,
+    cluster: str | None,
     compare: bool,
     report: bool,
     plots: str | None,
@@ -126,8 +135,7 @@ def command(
     if compare:
         return _compare(files, console)
     session = files[0]
-    if len(files) > 1 and (follow or inspect_tdoa is not None):
-        raise click.UsageError("--follow and --inspect-tdoa take one session")
+    _check_choices(files, one=follow or inspect_tdoa is not None, each=each, cluster=cluster)
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
@@ -137,6 +145,8 @@ def command(
         return None
     target = output or _result_path(files)
     settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    if each:
+        return _each(files, output, settings, cluster, console, overwrite=overwrite)
     publication = Publication(target, overwrite, report, plots, formats)
     if follow:
         _follow(session, settings, publication)
@@ -179,6 +189,13 @@ def _export(
         console.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
+def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:
+    if one and (each or len(files) > 1):
+        raise click.UsageError("--follow and --inspect-tdoa take one session")
+    if cluster and not each:
+        raise click.UsageError("--cluster goes with --each")
+
+
 def _result_path(sessions: tuple[Path, ...]) -> Path:
     """Return where the result goes if nothing else is asked for: beside the first session."""
     if len(sessions) > MOST_NAMES:
@@ -205,6 +222,27 @@ def _follow(session: Path, settings: Settings, publication: Publication) -> None
     if result is not None:
         with Session.open(session) as opened:
             publication.publish([opened], result, settings)
+
+
+def _each(
+    files: tuple[Path, ...],
+    output: Path | None,
+    settings: Settings,
+    cluster: str | None,
+    console: Console,
+    *,
+    overwrite: bool,
+) -> int:
+    """Return 0 where every session has a result, else 5."""
+    from calib.study.fleet import SUMMARY, calibrate_each, show_fleet
+    from calib.study.workers import Workers, check_distributed
+
+    check_distributed()
+    table = output or files[0].with_name(SUMMARY)
+    workers = Workers(Workers.of_machine().number, cluster)
+    rows = calibrate_each(files, settings, workers, table, overwrite=overwrite, console=console)
+    show_fleet(rows, table, console)
+    return 0 if all(row.is_good for row in rows) else NOT_ALL_GOOD
 
 
 def _compare(files: tuple[Path, ...], console: Console) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
+import shutil
 import sys
 from collections.abc import Sequence
 
@@ -15,6 +17,7 @@ from rigs.errors import reason
 INTERRUPTED = 130
 _CONFIGURATION = 2
 _FAULT = 1
+_WORDS = re.compile(r"rig-[a-z]+(?: +-[^;,()]*[^;,() ])|\S+")
 _REMEDIES = {
     errno.ENOSPC: "free some space or choose another disk",
     errno.EDQUOT: "free some space or choose another disk",
@@ -77,5 +80,20 @@ def _explained(error: Exception) -> tuple[str, int]:
 
 
 def _tell(name: str, message: str, exit_code: int) -> int:
-    print(f"{name}: {message}", file=sys.stderr)  # noqa: T201 - this is the command line
+    line = f"{name}: {message}"
+    if sys.stderr.isatty():
+        line = wrapped(line, shutil.get_terminal_size().columns)
+    print(line, file=sys.stderr)  # noqa: T201 - this is the command line
     return exit_code
+
+
+def wrapped(line: str, width: int) -> str:
+    """Break a line between words; a command that it names stays whole, so that it can be copied."""
+    lines = [""]
+    for word in _WORDS.findall(line):
+        longer = f"{lines[-1]} {word}".lstrip()
+        if len(longer) < width or not lines[-1]:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return "\n".join(lines)
