@@ -370,3 +370,10 @@ def test_several_sessions_have_one_report(tmp_path, simulated_description):
     exported = json.loads((tmp_path / "a+b.microphones.json").read_text())
     assert exported["session"]["name"] == "a + b"
     assert run_calibrate(tmp_path / "a+b.calib.yaml", "--export", "json", "--overwrite") == 0
+
+
+def test_each_of_many_sessions_has_no_exports(tmp_path, simulated_description, capsys):
+    session = write_measured_session(tmp_path / "s1.h5", simulated_description)
+    assert run_calibrate(session, "--each", "--export", "csv") == 2
+    assert "leave --plots and --export" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [session]
