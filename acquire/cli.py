@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ from unicodedata import category
 
 import click
 
-from rigs.command import run
+from rigs.command import leave, run
 
 if TYPE_CHECKING:
     from acquire.status import Status
@@ -152,4 +151,4 @@ def _fault_lines(status: Status) -> list[str]:
 
 def main() -> None:
     """Run `rig-capture`."""
-    sys.exit(run("rig-capture", cli))
+    leave(run("rig-capture", cli))

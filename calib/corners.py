@@ -53,7 +53,7 @@ class PoseCorners:
         return PoseCorners(self.pose[chosen], self.corners_px[chosen])
 
 
-def find_pose_corners(session: Session, seen: SeenPoses | None = None) -> PoseCorners:
+def find_pose_corners(session: Session, seen: SeenPoses | None = None, *, min_poses: int | None = None) -> PoseCorners:
     """Find the corners of every accepted pose, or take those that the session begins with.
 
     Parameters
@@ -61,6 +61,8 @@ def find_pose_corners(session: Session, seen: SeenPoses | None = None) -> PoseCo
     session : Session
     seen : SeenPoses or None
         Poses that were looked at before, and need not be again; the new ones are added.
+    min_poses : int or None
+        How many are needed; None: as many as a calibration needs.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def find_pose_corners(session: Session, seen: SeenPoses | None = None) -> PoseCo
         The session has too few poses, or the board was found in too few of them.
     """
     accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
-    needed = session.description.min_poses
+    needed = session.description.min_poses if min_poses is None else min_poses
     note = f" ({MIN_POSES} with camera.intrinsics in the rig description)" if needed > MIN_POSES else ""
     if len(accepted) < needed:
         raise NotEnoughDataError(

@@ -8,7 +8,10 @@ import os
 import re
 import shutil
 import sys
+import threading
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
 
 import click
 
@@ -65,10 +68,24 @@ def run(name: str, command: click.Command, arguments: Sequence[str] | None = Non
     return outcome if isinstance(outcome, int) else 0
 
 
+def leave(exit_code: int) -> NoReturn:
+    """End the program, at once where a thread was left behind.
+
+    One that hangs in a driver would come back from it while the interpreter is taken down, and abort the program.
+    """
+    if any(thread.daemon for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):  # nobody reads it any more
+                stream.flush()
+        os._exit(exit_code)
+    sys.exit(exit_code)
+
+
 def _explained(error: Exception) -> tuple[str, int]:
     exit_code = getattr(error, "exit_code", None)
     if isinstance(exit_code, int):
-        return str(error), exit_code
+        remedy = getattr(error, "remedy", "")
+        return f"{error}{': ' + remedy if remedy else ''}", exit_code
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         remedy = _REMEDIES.get(error.errno or 0)

@@ -364,6 +364,7 @@ class Fault(Section):
         "dead_channel", "silent_buzzer", "loud_channel", "audio_overflow", "board_moves", "trigger_lost", "audio_lost",
         "camera_lost", "trigger_reset", "camera_frozen", "clock_jump",
         "weak_channel", "noisy_channel", "humming_channel", "inverted_channel", "duplicate_channel", "swapped_channel",
+        "moved_channel",
         "blurred", "overexposed",
     ]  # fmt: skip
     channel: Channel | None = Field(
@@ -386,6 +387,7 @@ class Simulation(Section):
     """The simulated room, and how the simulated devices differ from ideal ones."""
 
     seed: int = Field(0, ge=0, le=2**63 - 1)
+    visit: int = Field(0, ge=0, le=1000, description="a later visit to the same rig: other board positions, other air")
     room_size_m: tuple[RoomSide, RoomSide, RoomSide] = (5.2, 4.3, 2.9)
     rt60_s: float = Field(0.3, ge=0, le=5, description="time in which the room's echo falls by 60 dB; 0: no echo")
     snr_db: float = Field(35.0, ge=-20, le=120, description="of the direct sound at 1 m over the microphones' noise")

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
 from rigs.errors import TargetError, TargetExistsError
 
 _BEGINNINGS = {"session": b"\x89HDF\r\n\x1a\n", "calibration": b"format: acoustic-rig-calibration"}
+
+
+def session_file(_context: object, _parameter: object, path: Path) -> Path:
+    """Return a session's file, named as `rig-capture --session` takes it: s1 is s1.h5, unless there is an s1."""
+    named = path.with_name(f"{path.name}.h5") if path.name not in ("", "..") else path
+    return named if named.is_file() and not path.exists() else path
+
+
+def session_files(context: object, parameter: object, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return several sessions' files, as `session_file` does."""
+    return tuple(session_file(context, parameter, path) for path in paths)
 
 
 def check_target(path: Path, *, replaces: Literal["session", "calibration"] | None = None) -> None:
@@ -38,3 +53,54 @@ def check_target(path: Path, *, replaces: Literal["session", "calibration"] | No
         begins = stream.read(64)
     if not begins.startswith(_BEGINNINGS[replaces]):
         raise TargetExistsError(f"{path}: not a {replaces}, so not written over: choose another name")
+
+
+@contextmanager
+def whole_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Yield a folder to fill, and give it its name when all went well; otherwise nothing is left.
+
+    Parameters
+    ----------
+    folder : Path
+        Its name; must not be there, unless `replace`.
+    replace : bool
+        Remove what has that name at the very end.
+
+    Raises
+    ------
+    TargetExistsError
+        Something of this name is there.
+    TargetError
+        There is no folder to make it in.
+    OSError
+        That folder cannot be written to.
+    """
+    if folder.name in ("", "..") or not folder.parent.is_dir():
+        raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
+    if not replace and (folder.exists() or folder.is_symlink()):
+        raise TargetExistsError(f"{folder}: there is already something of this name: choose another name")
+    unfinished = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    try:
+        unfinished.chmod(0o755)
+        yield unfinished
+        if replace and folder.exists():
+            shutil.rmtree(folder)
+        unfinished.rename(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a name to write to, and give the file its own name when all went well; otherwise nothing is left.
+
+    Raises
+    ------
+    TargetError
+        As `check_target`.
+    """
+    check_target(path)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        unfinished = Path(folder) / path.name
+        yield unfinished
+        unfinished.rename(path)

@@ -245,3 +245,15 @@ def test_a_long_line_breaks_between_words_and_never_in_a_command(width):
     assert lines.replace("\n", " ") == line
     assert sum(command in each for each in lines.split("\n")) == 1
     assert max(map(len, lines.split("\n"))) < width
+
+
+@pytest.mark.parametrize("left_behind", [True, False])
+def test_a_thread_that_was_left_behind_does_not_outlive_the_program(left_behind):
+    code = (
+        "import atexit, threading, time; from rigs.command import leave; atexit.register(print, 'taken down');"
+        f"threading.Thread(target=time.sleep, args=(60 * {left_behind},), daemon={left_behind}).start();"
+        "print('said'); leave(130)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 130
+    assert done.stdout.split("\n") == (["said", ""] if left_behind else ["said", "taken down", ""])

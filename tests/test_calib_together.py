@@ -108,6 +108,9 @@ def test_the_equations_of_several_sessions_match_numeric_derivatives():
     weights = problem.stated_weights()
     weights = Weights(weights.arrivals, 0 * weights.corners)
     gradient = problem.normal_equations(at, weights).shared_gradient
+    residuals_s = problem.arrivals.residuals_s(at, weights.arrivals)
+    cost = problem.arrivals.normal_equations(at, weights.arrivals).cost
+    assert cost == pytest.approx(0.5 * np.sum(weights.arrivals * residuals_s**2))
     for place, step in [*((place, 1e-9) for place in range(24, 40)), (40, 1e-4), (41, 1e-4), (3, 1e-7), (43, 1e-7)]:
         costs = []
         for sign in (-1, 1):

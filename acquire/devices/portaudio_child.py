@@ -1,7 +1,7 @@
 """The recorder: PortAudio in a process of its own, that writes what it hears to a pipe.
 
-The only module that imports sounddevice. It runs as a program, started by `recorder` and `sound_devices`. So a host
-that is busy, or waits for its disk, starves no callback; a driver that hangs or crashes is ended and started anew,
+The only module that records with sounddevice. It runs as a program, started by `recorder` and `sound_devices`. So a
+host that is busy, or waits for its disk, starves no callback; a driver that hangs or crashes is ended and started anew,
 which is also the only sure way to see a device that was plugged in later; and what the libraries below print reaches
 nobody. A recording ends as soon as standard input does, that is with the program that started it, however that ended.
 

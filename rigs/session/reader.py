@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError
+from rigs.errors import DamagedSessionError, SessionError
 from rigs.session import layers, layout, picture
 from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
@@ -126,13 +126,22 @@ class Session:
         SessionError
             No such frame, a checksum that does not fit, or not a sane PNG.
         """
+        return picture.decode(self.png(index), f"{self.path}: frame {index}")
+
+    def png(self, index: int) -> NDArray[np.uint8]:
+        """Return the bytes (n,) of a picture as they are stored, a PNG file.
+
+        Raises
+        ------
+        SessionError
+            No such frame, or a checksum that does not fit.
+        """
         if not 0 <= index < len(self.frames):
             raise SessionError(f"{self.path}: frame {index} is asked for, the session holds {len(self.frames)}")
         png = self._png(index)
-        where = f"{self.path}: frame {index}"
         if zlib.crc32(png.data) != self.frames["crc32"][index]:
-            raise SessionError(f"{where} is damaged: its checksum does not fit")
-        return picture.decode(png, where)
+            raise DamagedSessionError(f"{self.path}: frame {index} is damaged: its checksum does not fit")
+        return png
 
     def verify(self) -> list[str]:
         """Read everything and return in words what does not fit its checksum; empty when all is well."""

@@ -18,6 +18,8 @@ from rigs.session.layout import Truth
 FloatArray = NDArray[np.float64]
 _HALF_FRAME_M = 0.2  # the microphones sit around the camera on a frame like a cube of twice this side
 _MICROPHONE_SPREAD_M = 0.005
+_MOVED_M = 0.003  # by the fault moved_channel
+_POSES_PER_VISIT = 10_000
 _CORNERS = [(-1, -1, -1), (1, 1, -1), (1, -1, 1), (-1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1), (1, 1, 1)]
 
 
@@ -54,7 +56,8 @@ class Scene:
     def planned_pose(self, pose: int) -> Pose:
         """Return `board_to_camera` of a planned pose, counted from 0; there is always one more."""
         description = self.description
-        return planned_pose(self.board, self.intrinsics, description.camera.size_px, self.seed, pose)
+        number = pose + _POSES_PER_VISIT * description.simulation.visit
+        return planned_pose(self.board, self.intrinsics, description.camera.size_px, self.seed, number)
 
     def truth(self) -> Truth:
         """Return what evaluation may know."""
@@ -87,7 +90,7 @@ def draw_scene(description: RigDescription, seed: int) -> Scene:
         _draw_intrinsics(description, seed),
         _draw_microphones(description, seed),
         places_m + description.board.buzzer_std_m * draws(seed, "buzzers").standard_normal(places_m.shape),
-        medium.speed_m_s() + medium.speed_std_m_s() * float(draws(seed, "medium").standard_normal()),
+        medium.speed_m_s() + medium.speed_std_m_s() * float(_air(description, seed).standard_normal()),
         _draw_camera_to_room(np.array(description.simulation.room_size_m), seed),
         _draw_board(description.board, seed),
     )
@@ -100,6 +103,11 @@ def _check_faults(description: RigDescription) -> None:
             raise DescriptionError(f"simulation.faults: channel {fault.channel} is none of audio.channels")
         if fault.buzzer is not None and fault.buzzer not in buzzers:
             raise DescriptionError(f"simulation.faults: buzzer {fault.buzzer} is none of board.buzzers")
+
+
+def _air(description: RigDescription, seed: int) -> np.random.Generator:
+    visit = description.simulation.visit
+    return draws(seed, "medium", visit) if visit else draws(seed, "medium")
 
 
 def _draw_intrinsics(description: RigDescription, seed: int) -> Intrinsics:
@@ -129,6 +137,11 @@ def _draw_microphones(description: RigDescription, seed: int) -> FloatArray:
     extra[np.arange(len(extra)), rng.integers(0, 2, len(extra))] = rng.choice([-1.0, 1.0], len(extra))
     nominal_m = _HALF_FRAME_M * np.concatenate([np.array(_CORNERS, dtype=float), extra])[:n_mics]
     places_m = nominal_m + _MICROPHONE_SPREAD_M * rng.standard_normal(nominal_m.shape)
+    for fault in description.simulation.faults:
+        if fault.kind == "moved_channel" and fault.channel in description.audio.channels:
+            direction = draws(seed, "moved", fault.channel).standard_normal(3)
+            row = description.audio.channels.index(fault.channel)
+            places_m[row] += _MOVED_M * direction / np.linalg.norm(direction)
     reference = description.audio.reference_microphone
     if reference is None:
         return places_m

@@ -1,0 +1,1 @@
+"""Verification: sound located with the calibrated array, against where the camera saw it come from."""

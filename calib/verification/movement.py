@@ -1,0 +1,170 @@
+"""Whether the array has moved since it was calibrated, and which microphones.
+
+The session under test places the microphones anew, on its own, with the whole joint problem (board, buzzers, squares,
+intrinsics and speed of sound all as uncertain as ever). The two results are then compared as `rig-calibrate --compare`
+does: what differs by more than both uncertainties is explained by as few motions as chance allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import View
+from calib.comparison import Comparison, Fit, compare
+from calib.corners import PoseCorners
+from calib.emissions import EmissionTdoas
+from calib.errors import NotConvergedError, NotEnoughDataError
+from calib.joint.assemble import assemble
+from calib.joint.robust import solve_robustly
+from calib.joint.uncertainty import shared_covariance
+from calib.result_file import ArrayResult
+from calib.verification.stored import ArrayCalibration
+from rigs.description import RigDescription
+
+FloatArray = NDArray[np.float64]
+
+MAX_STD_M = 0.01  # of a microphone against the others: a session that knows less cannot tell
+WHOLE_ARRAY = -1
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Something that moved.
+
+    Parameters
+    ----------
+    channel : int
+        Input channel of the microphone; WHOLE_ARRAY for the array against the camera.
+    shift_m : (3,) array
+        Camera frame; of the whole array: of its middle.
+    covariance_m2 : (3, 3) array
+    turn_deg : float
+        Of the whole array; 0 for a microphone.
+    farthest_m : float
+        How far the microphone that moved most did so; for a single one the length of the shift.
+    """
+
+    channel: int
+    shift_m: FloatArray
+    covariance_m2: FloatArray
+    turn_deg: float
+    farthest_m: float
+
+    @property
+    def length_m(self) -> float:
+        """How far."""
+        return float(np.linalg.norm(self.shift_m))
+
+    @property
+    def std_m(self) -> float:
+        """Standard deviation along the shift."""
+        along = self.shift_m / max(self.length_m, 1e-12)
+        return float(np.sqrt(along @ self.covariance_m2 @ along))
+
+    def sentence(self) -> str:
+        """Say it in words."""
+        far = f"{1e3 * self.length_m:.1f} mm (+- {max(1e3 * self.std_m, 0.1):.1f})"
+        if self.channel == WHOLE_ARRAY:
+            return f"the whole array by {far} and {self.turn_deg:.2f} degrees against the camera"
+        x, y, z = 1e3 * self.shift_m
+        return f"microphone {self.channel} by {far}: x {x:+.1f}, y {y:+.1f}, z {z:+.1f} mm"
+
+
+@dataclass(frozen=True)
+class MovementCheck:
+    """What moved.
+
+    Parameters
+    ----------
+    motions : list of Motion
+        Empty where nothing did.
+    resolution_m : float
+        The shift of a single microphone, in its worst direction, that is as long as three standard deviations; NaN
+        where the session cannot tell.
+    doubt : str
+        Why the session cannot tell; empty where it can.
+    """
+
+    motions: list[Motion]
+    resolution_m: float
+    doubt: str = ""
+
+
+def check_movement(
+    calibration: ArrayCalibration,
+    description: RigDescription,
+    view: View,
+    corners: PoseCorners,
+    tdoas: EmissionTdoas,
+) -> MovementCheck:
+    """Compare where the microphones are now with where they were.
+
+    Parameters
+    ----------
+    calibration : ArrayCalibration
+    description : RigDescription
+        The session's.
+    view : View
+        The board's poses by the calibrated camera.
+    corners : PoseCorners
+    tdoas : EmissionTdoas
+    """
+    try:
+        now_m, covariance = _placed_anew(calibration, description, view, corners, tdoas)
+    except (NotEnoughDataError, NotConvergedError):
+        return MovementCheck([], float("nan"), "too few or too similar poses to place the microphones anew")
+    then = ArrayResult("then", calibration.channels, calibration.positions_m, calibration.covariance_m2, frozenset())
+    now = ArrayResult("now", calibration.channels, now_m, covariance, frozenset())
+    resolution_m = _resolution_m(then.covariance_m2 + now.covariance_m2)
+    if resolution_m > 3 * MAX_STD_M:
+        return MovementCheck([], float("nan"), f"it would miss a microphone that moved by {1e3 * resolution_m:.0f} mm")
+    return MovementCheck(motions_of(compare(then, now)), resolution_m)
+
+
+def motions_of(comparison: Comparison) -> list[Motion]:
+    """Return what explains how two results of one array differ, the farthest motion first."""
+    best, channels = comparison.best, comparison.first.channels
+    motions = [_own_motion(best, row, channels[row]) for row in best.moved]
+    if best.motion is not None and best.motion_covariance is not None:
+        arms_m = comparison.first.positions_m - comparison.first.positions_m.mean(axis=0)
+        farthest_m = float(np.linalg.norm(best.motion.apply(arms_m) - arms_m, axis=1).max())
+        shift_covariance = best.motion_covariance[3:, 3:]
+        whole = Motion(WHOLE_ARRAY, best.motion.translation_m, shift_covariance, best.angle_deg, farthest_m)
+        motions.append(whole)
+    return sorted(motions, key=lambda motion: -motion.farthest_m)
+
+
+def _placed_anew(
+    calibration: ArrayCalibration,
+    description: RigDescription,
+    view: View,
+    corners: PoseCorners,
+    tdoas: EmissionTdoas,
+) -> tuple[FloatArray, FloatArray]:
+    camera = description.camera.model_copy(update={"intrinsics": calibration.intrinsics})
+    audio = description.audio.model_copy(update={"reference_microphone": None})
+    description = description.model_copy(update={"camera": camera, "audio": audio})
+    problem, guess = assemble(description, view, corners, tdoas, calibration.channels)
+    solution = solve_robustly(problem, guess.placed(calibration.positions_m))
+    covariance = shared_covariance(problem, solution.at, solution.weights())
+    size = 3 * len(calibration.channels)
+    return solution.at.microphones_m, covariance[:size, :size]
+
+
+def _own_motion(best: Fit, row: int, channel: int) -> Motion:
+    """Return how a microphone moved by itself, with the errors that it shares with the still ones taken out."""
+    shift_m = best.own_shift_m(row)
+    still = np.setdiff1d(np.arange(len(best.shifts_m)), best.moved)
+    places = np.concatenate([np.arange(3 * mic, 3 * mic + 3) for mic in (*still, row)])
+    information = np.linalg.inv(best.shift_covariance_m2[np.ix_(places, places)])
+    return Motion(channel, shift_m, np.linalg.inv(information[-3:, -3:]), 0.0, float(np.linalg.norm(shift_m)))
+
+
+def _resolution_m(covariance_m2: FloatArray) -> float:
+    """Return three standard deviations of the worst microphone in its worst direction, were it alone to move."""
+    information = np.linalg.inv(covariance_m2)
+    blocks = [information[start : start + 3, start : start + 3] for start in range(0, len(information), 3)]
+    return float(3 / np.sqrt(min(np.linalg.eigvalsh(block)[0] for block in blocks)))
