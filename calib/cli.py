@@ -90,7 +90,8 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 @click.option(
     "--each",
     is_flag=True,
-    help="Calibrate each session by itself, all cores at once; a result each, no report; a table (-o) [calibrations.csv].",
+    help="Calibrate each session by itself, all cores at once; a result each, no report, and a table (-o) "
+    "[calibrations.csv].",
 )
 @click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")

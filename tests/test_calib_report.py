@@ -22,7 +22,7 @@ from calib.report.page import report as report_page
 from calib.report.plots import COLOURS
 from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose
 from calib.report.verdict import judge
-from calib.report.words import command_line, short, weak_directions
+from calib.report.words import command_line, settings_table, short, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs.command import run
@@ -257,6 +257,27 @@ def test_weak_directions_are_named(calibrated):
     sentences = weak_directions(dataclasses.replace(calibrated[0], array_covariance_m2=covariance_m2))
     assert sentences[0].startswith("The array is known worst in its ")
     assert sentences[1] == "Channel 5: 3 mm in depth (z); 0.1 mm where it is known best."
+
+
+OTHER_SETTINGS = {
+    "method": "ours-2",
+    "seed": 1,
+    "reference_channel": 2,
+    "excluded_channels": (3,),
+    "tdoa": "matched",
+    "hold": ("speed",),
+    "find_delays": True,
+    "suggest_poses": 4,
+    "ignore_sync": True,
+    "exact": ("scale",),
+}
+
+
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Settings)])
+def test_every_setting_is_told_and_part_of_the_command(name):
+    changed = dataclasses.replace(Settings(), **{name: OTHER_SETTINGS[name]})
+    assert command_line(["s.h5"], "s.yaml", changed) != command_line(["s.h5"], "s.yaml", Settings())
+    assert name == "suggest_poses" or settings_table(changed) != settings_table(Settings())
 
 
 @pytest.mark.parametrize(
