@@ -26,7 +26,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $(STAMP)
 
 demo: setup
-	@rm -f demo.h5 demo.calib.yaml demo.arrivals.npz
+	@rm -f demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz
 	$(BIN)/rig-capture --session demo --rig simulated --seed $(SEED)
 	$(BIN)/rig-calibrate demo.h5
 
@@ -35,10 +35,12 @@ virtual-bench: setup
 	.ci/system-packages
 	@PYTHONPATH=tests $(BIN)/python -m virtual_bench
 
-# the README's pictures, from the demo's files, and the bench guide's drawings
+# README's pictures, from the demo's report and its verification; the bench guide's drawings, from rigs/bench8.yaml
 figures: setup
+	.ci/system-packages
+	$(BIN)/python docs/figures/screenshot.py demo.report.html docs/figures/report.png
 	$(BIN)/rig-verify demo.h5 --calibration demo.calib.yaml --overwrite
-	$(BIN)/python docs/figures/make.py
+	$(BIN)/python docs/figures/overlay.py demo.verify/pose-010.png docs/figures/verify.jpg
 	$(BIN)/python docs/figures/bench.py
 
 bench: setup
@@ -68,7 +70,7 @@ coverage: setup
 
 lock:
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-emit-find-links --no-header \
-	    --extra aislab --extra plot --group dev --output-file requirements.lock pyproject.toml
+	    --extra aislab --extra study --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.arrivals.npz demo.verify
+	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz demo.verify

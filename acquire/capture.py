@@ -91,8 +91,9 @@ def capture(
     rig = choose_devices(description, seed=seed)
     watch = _interruptible(screen, stop_wanted, path)
     earlier = resume(path, rig.truth, description, description.capture.poses, watch) if resumes else None
-    with _telling_of_haste(status), ExitStack() as stack:
+    with _telling_what_is_saved(status), ExitStack() as stack:
         if earlier is not None:
+            status.saved, status.earlier_s = earlier.recovery.n_accepted, earlier.recovery.duration_s
             stack.enter_context(earlier.writer)  # discards the copy when a device is missing
         versions = stack.enter_context(_opened(rig, stop_wanted, _READDRESS if resumes else ""))
         if rig.truth is not None:
@@ -105,8 +106,6 @@ def capture(
         _warn(recording, space)
         try:
             Poses(recording, description, earlier).capture_all()
-        except SessionWriteError as error:
-            raise SessionWriteError(_last_line(error, status)) from error
         except CaptureError as error:
             level = "info" if isinstance(error, InterruptedCaptureError) else "error"
             _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
@@ -126,8 +125,6 @@ def _warn(recording: Recording, space: DiskSpace) -> None:
 
 def _go_on(earlier: Resumption, recording: Recording, versions: dict[str, str]) -> None:
     """Put the resumed session in its place and tell what it holds."""
-    status = recording.status
-    status.saved, status.earlier_s = earlier.recovery.n_accepted, earlier.recovery.duration_s
     for line in earlier.take_place(versions):
         recording.tell("info", line)
 
@@ -158,13 +155,14 @@ def _last_line(error: Exception, status: Status) -> str:
 
 
 @contextmanager
-def _telling_of_haste(status: Status) -> Iterator[None]:
-    """Say what is in the file where a second Ctrl-C ends the program at once."""
+def _telling_what_is_saved(status: Status) -> Iterator[None]:
+    """Say what is in the file where the disk refuses, or a second Ctrl-C ends the program at once."""
     try:
         yield
-    except KeyboardInterrupt as error:
-        line = _last_line(InterruptedCaptureError("interrupted at once"), status)
-        raise InterruptedCaptureError(line if Path(status.file).exists() else "interrupted at once") from error
+    except (KeyboardInterrupt, SessionWriteError) as error:
+        ending = InterruptedCaptureError if isinstance(error, KeyboardInterrupt) else SessionWriteError
+        what = ending(str(error) or "interrupted at once")
+        raise ending(_last_line(what, status) if Path(status.file).exists() else str(what)) from error
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ from unicodedata import category
 
 import click
 
-from rigs.command import run
+from rigs.command import leave, run
 
 if TYPE_CHECKING:
     from acquire.status import Status
@@ -101,13 +100,16 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
 
 def _session_path(session: Path) -> Path:
     """Return the file that --session means; a name that no terminal can show is refused."""
+    from rigs.errors import TargetError
+
     if any(category(sign) in _UNSEEN for sign in str(session)):
         raise click.BadParameter(
             f"{str(session)!a} has a sign that cannot be shown, such as a line's end: choose another name",
             param_hint="--session",
         )
-    named = session.name not in ("", "..") and session.suffix != ".h5"
-    return session.with_name(f"{session.name}.h5") if named else session
+    if session.name in ("", ".."):
+        raise TargetError(f"{session}: a folder, not a file: name a file")
+    return session if session.suffix == ".h5" else session.with_name(f"{session.name}.h5")
 
 
 def _check_new(path: Path) -> None:
@@ -149,4 +151,4 @@ def _fault_lines(status: Status) -> list[str]:
 
 def main() -> None:
     """Run `rig-capture`."""
-    sys.exit(run("rig-capture", cli))
+    leave(run("rig-capture", cli))

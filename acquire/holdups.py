@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 
@@ -31,21 +32,24 @@ class HoldUps:
     Parameters
     ----------
     clock : Clock
+    worked_s : callable, optional
+        How long this program has worked so far; while it works on nothing, the computer holds it up.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, clock: Clock, worked_s: Callable[[], float] = time.process_time) -> None:
+        self._clock, self._worked_s = clock, worked_s
         self._spent_s: dict[Cause, float] = defaultdict(float)
         self._since_s = clock.now_s()
 
     @contextmanager
     def during(self, cause: Cause) -> Iterator[None]:
         """Count the time of a block for a cause."""
-        began_s = self._clock.now_s()
+        now_s = self._worked_s if cause is Cause.PICTURES else self._clock.now_s
+        began_s = now_s()
         try:
             yield
         finally:
-            self._spent_s[cause] += self._clock.now_s() - began_s
+            self._spent_s[cause] += now_s() - began_s
 
     def blame(self) -> Cause:
         """Return what took most of the time since the last call; the computer, where none of the others did."""

@@ -20,7 +20,7 @@ from scipy.stats import chi2
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from conftest import AISLAB, BUZZERS_M, board_poses
-from measured_rig import Rig, make_rig
+from measured_rig import Rig, bent_rig, make_rig
 
 from calib.joint.arrivals import ArrivalTable
 from calib.joint.bias import without_bias
@@ -47,12 +47,17 @@ def rms_m(errors_m: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors_m**2, axis=1))))
 
 
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def simulated_rig(seeds: int) -> None:
     print(f"Simulated rig at the level of corners and arrivals, {seeds} seeds, mm")
     print(f"{'':40}{'bound':>8}{'rmse':>8}{'ratio':>8}{'median':>8}{'largest':>9}{'95 % hold':>11}{'speed':>9}")
     cases: dict[str, Callable[[int], Rig]] = {
         "25 poses, 0.25 to 1 us, 0.05 px": make_rig,
         "12 poses, 0.5 to 2 us, 0.05 px": partial(make_rig, n_poses=12, arrival_std_s=1e-6),
+        "25 poses, a board bent by 1 mm": partial(make_rig, description=bent_rig()),
     }
     for name, make in cases.items():
         errors, bounds, held, times_s = [], [], [], []
@@ -68,19 +73,22 @@ def simulated_rig(seeds: int) -> None:
             pulls = [error @ np.linalg.solve(matrix, error) for error, matrix in
                      zip(rig.errors_m(solution), ellipsoids, strict=True)]  # fmt: skip
             held.append(np.mean(np.array(pulls) < chi2.ppf(0.95, 3)))
-        rmse, bound = np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(np.square(bounds)))
+        rmse, bound = rms(errors), rms(bounds)
         print(f"{name:40}{1e3 * bound:8.3f}{1e3 * rmse:8.3f}{rmse / bound:8.3f}{1e3 * np.median(errors):8.3f}"
               f"{1e3 * max(errors):9.3f}{100 * np.mean(held):10.1f}%{1e3 * np.median(times_s):6.0f} ms")  # fmt: skip
 
 
 def outliers(seeds: int) -> None:
-    print(f"\nGross outliers among the arrivals, {seeds} seeds: rmse over that without")
-    clean = [rms_m(rig.errors_m(rig.solved())) for rig in map(make_rig, range(seeds))]
-    for share in (0.1, 0.3):
-        worse = [make_rig(seed).with_outliers(share, seed) for seed in range(seeds)]
-        errors = [rms_m(rig.errors_m(rig.solved())) for rig in worse]
-        ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(clean)))
-        print(f"{share:>8.0%}{ratio:8.3f}")
+    print(f"\nGross outliers among the arrivals, {seeds} seeds, mm; bound: of a rig without them")
+    print(f"{'share':>8}{'bound':>8}{'rmse':>8}{'over none':>11}{'largest':>9}")
+    bound_m = rms([microphone_rms_m(make_rig(seed).bound(), 8) for seed in range(seeds)])
+    clean_m = None
+    for share in (0.0, 0.1, 0.3):
+        rigs = [make_rig(seed).with_outliers(share, seed) for seed in range(seeds)]
+        errors_m = [rms_m(rig.errors_m(rig.solved())) for rig in rigs]
+        clean_m = clean_m or rms(errors_m)
+        print(f"{share:8.0%}{1e3 * bound_m:8.3f}{1e3 * rms(errors_m):8.3f}{rms(errors_m) / clean_m:11.3f}"
+              f"{1e3 * max(errors_m):9.3f}")  # fmt: skip
 
 
 def wrong_buzzer(rig: Rig, generator: np.random.Generator) -> tuple[Rig, list[tuple[str, int]]]:
@@ -108,7 +116,9 @@ def with_board(rig: Rig, **changes: object) -> Rig:
 
 
 def faults(seeds: int) -> None:
-    print(f"\nFaults found and named, and nothing else, of {seeds} seeds; median rmse in mm")
+    print(f"\nFaults found and named, and nothing else, of {seeds} seeds; mm; bound: of a rig without them")
+    print(f"{'':30}{'found':>6}{'bound':>8}{'rmse':>8}{'median':>8}")
+    bound_m = rms([microphone_rms_m(make_rig(seed).bound(), 8) for seed in range(seeds)])
     kinds: dict[str, Spoil] = {
         "none": lambda rig, _: (rig, []),
         "a buzzer off by 20 mm": wrong_buzzer,
@@ -122,7 +132,7 @@ def faults(seeds: int) -> None:
             solution, suspects = find_suspects(rig.solved())
             found += [(suspect.kind, suspect.number) for suspect in suspects] == expected
             errors.append(rms_m(rig.errors_m(solution)))
-        print(f"{name:30}{found:6}{1e3 * np.median(errors):10.3f}")
+        print(f"{name:30}{found:6}{1e3 * bound_m:8.3f}{1e3 * rms(errors):8.3f}{1e3 * np.median(errors):8.3f}")
 
 
 def paper_problem(poses: list[Pose]) -> tuple[JointProblem, Unknowns]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import View
+from calib.evidence import Evidence
 from calib.joint.continuation import Continuation
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
@@ -39,6 +40,8 @@ class Answer:
         Further board positions that would help most, the best first.
     rejections : list of Rejection
         What the solve left out.
+    evidence : Evidence or None
+        Residuals of all measurements.
     weakest : Weakest or None
         How the array is known worst.
     continuation : Continuation or None
@@ -61,6 +64,7 @@ class Answer:
     continuation: Continuation | None = None
     speeds_m_s: tuple[float, ...] = ()
     speed_stds_m_s: tuple[float, ...] = ()
+    evidence: Evidence | None = None
 
     @property
     def covariance_m2(self) -> FloatArray:

@@ -59,7 +59,8 @@ def look(camera: Camera, board: Board, corners: PoseCorners) -> View:
     if not good.any():
         raise NotEnoughDataError("no board pose fits the corners: check camera.intrinsics and board.corners")
     found = [pose for pose in poses if pose is not None]
-    rms_px = _reprojection_rms_px(corners.corners_px[good], found, board, intrinsics)
+    residuals_px = corner_residuals_px(corners.corners_px[good], found, board, intrinsics)
+    rms_px = float(np.sqrt(np.nanmean(np.sum(residuals_px**2, axis=2))))
     return View(intrinsics, source, corners.pose[good], found, rms_px)
 
 
@@ -96,7 +97,7 @@ def _one_thread() -> Iterator[None]:
         cv2.setNumThreads(n_threads)
 
 
-def _reprojection_rms_px(corners_px: FloatArray, poses: list[Pose], board: Board, intrinsics: Intrinsics) -> float:
+def corner_residuals_px(corners_px: FloatArray, poses: list[Pose], board: Board, intrinsics: Intrinsics) -> FloatArray:
+    """Return corners seen minus corners projected (n_poses, n_corners, 2), NaN where not seen."""
     points_m = board_corners_m(board)
-    projected = np.array([project(points_m, pose, intrinsics) for pose in poses])
-    return float(np.sqrt(np.nanmean(np.sum((corners_px - projected) ** 2, axis=2))))
+    return np.asarray(corners_px - np.array([project(points_m, pose, intrinsics) for pose in poses]))

@@ -15,11 +15,13 @@ from rigs.command import run
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calib.publication import Publication
     from calib.settings import Method, Settings
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 DIFFER = 5  # the exit code where two results do
+NOT_ALL_GOOD = 5  # of the sessions of --each
 MOST_NAMES = 3  # of sessions, in the name of their result
 BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
@@ -75,7 +77,21 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     is_flag=True,
     help="Solve again with every pose that is being captured; prints a line of JSON each time.",
 )
+@click.option(
+    "--each",
+    is_flag=True,
+    help="Calibrate each session by itself, all cores at once; a result each, and a table (-o) [calibrations.csv].",
+)
+@click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
+@click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
+@click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
+@click.option(
+    "--export",
+    metavar="NAMES",
+    help="Write files for other tools: all, or some of acoular,pyroomacoustics,odas,ros2,urdf,kalibr,matlab,csv,json. "
+    "With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
+)
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
     files: tuple[Path, ...],
@@ -92,17 +108,24 @@ def command(
     suggest_poses: int,
     ignore_sync: bool,
     follow: bool,
+    each: bool,
+    cluster: str | None,
     compare: bool,
+    report: bool,
+    plots: str | None,
+    export: str | None,
 ) -> int | None:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
-    Several sessions of one rig are solved together. Writes SESSION.calib.yaml beside the (first) session, of several
-    SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good, 2 usage,
-    5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
+    Several sessions of one rig are solved together. Writes SESSION.calib.yaml and SESSION.report.html beside the
+    (first) session, of several SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good,
+    2 usage, 5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
+    from calib.export.formats import chosen_formats
     from calib.pipeline import calibrate, calibrate_together
+    from calib.publication import Publication
     from calib.result import check_result_target, write_calibration
     from calib.screen import show
     from calib.settings import Settings
@@ -112,17 +135,24 @@ def command(
     if compare:
         return _compare(files, console)
     session = files[0]
-    if len(files) > 1 and (follow or inspect_tdoa is not None):
-        raise click.UsageError("--follow and --inspect-tdoa take one session")
+    _check_choices(files, one=follow or inspect_tdoa is not None, each=each, cluster=cluster)
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
+    formats = chosen_formats(export)
+    if session.suffix in {".yaml", ".yml"}:
+        _export(files, output, overwrite, formats, console)
+        return None
     target = output or _result_path(files)
     settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    if each:
+        return _each(files, output, settings, cluster, console, overwrite=overwrite)
+    publication = Publication(target, overwrite, report, plots, formats)
     if follow:
-        _follow(session, target, settings, overwrite=overwrite)
+        _follow(session, settings, publication)
         return None
     check_result_target(target, overwrite=overwrite)
+    publication.check()
     with ExitStack() as stack:
         status = stack.enter_context(console.status("opening"))
         sessions = [stack.enter_context(Session.open(file)) for file in files]
@@ -132,9 +162,38 @@ def command(
 
         together = len(sessions) > 1
         result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
-    write_calibration(result, target, overwrite=overwrite)
+        write_calibration(result, target, overwrite=overwrite)
+        tell("writing what stands beside the result")
+        published = publication.publish(sessions, result, settings)
     show(result, target, console)
+    for line in published:
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     return None
+
+
+def _export(
+    files: tuple[Path, ...], output: Path | None, overwrite: bool, formats: tuple[str, ...], console: Console
+) -> None:
+    from calib.errors import MethodError
+    from calib.export.stored import read_array
+    from calib.publication import Publication
+
+    result = files[0]
+    if len(files) > 1:
+        raise MethodError(f"{result}: a result: name one of them, or two with --compare")
+    if not formats:
+        raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
+    publication = Publication(output or result, overwrite, report=False, formats=formats)
+    publication.check()
+    for line in publication.export_only(read_array(result)):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:
+    if one and (each or len(files) > 1):
+        raise click.UsageError("--follow and --inspect-tdoa take one session")
+    if cluster and not each:
+        raise click.UsageError("--cluster goes with --each")
 
 
 def _result_path(sessions: tuple[Path, ...]) -> Path:
@@ -146,10 +205,11 @@ def _result_path(sessions: tuple[Path, ...]) -> Path:
     return sessions[0].with_name(f"{name}.calib.yaml")
 
 
-def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool) -> None:
+def _follow(session: Path, settings: Settings, publication: Publication) -> None:
     import json
 
     from calib.follow import follow
+    from rigs.session.reader import Session
 
     def say(progress: dict[str, object]) -> None:
         try:
@@ -157,7 +217,32 @@ def _follow(session: Path, target: Path, settings: Settings, *, overwrite: bool)
         except BrokenPipeError:  # nobody reads any more; the result is still wanted
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    follow(session, target, settings, say, overwrite=overwrite)
+    publication.check()
+    result = follow(session, publication.target, settings, say, overwrite=publication.overwrite)
+    if result is not None:
+        with Session.open(session) as opened:
+            publication.publish([opened], result, settings)
+
+
+def _each(
+    files: tuple[Path, ...],
+    output: Path | None,
+    settings: Settings,
+    cluster: str | None,
+    console: Console,
+    *,
+    overwrite: bool,
+) -> int:
+    """Return 0 where every session has a result, else 5."""
+    from calib.study.fleet import SUMMARY, calibrate_each, show_fleet
+    from calib.study.workers import Workers, check_distributed
+
+    check_distributed()
+    table = output or files[0].with_name(SUMMARY)
+    workers = Workers(Workers.of_machine().number, cluster)
+    rows = calibrate_each(files, settings, workers, table, overwrite=overwrite, console=console)
+    show_fleet(rows, table, console)
+    return 0 if all(row.is_good for row in rows) else NOT_ALL_GOOD
 
 
 def _compare(files: tuple[Path, ...], console: Console) -> int:

@@ -9,7 +9,7 @@ from calib.doubts import speed_doubts, spread_doubts, view_doubts
 from calib.evaluation import Evaluation, evaluate
 from calib.order import order_doubts
 from calib.rejections import Rejection
-from calib.result import Calibration, SessionShare
+from calib.result import Calibration, Recording, SessionShare
 from calib.settings import Settings
 from calib.together import Measured
 from rigs.description import RigDescription
@@ -32,16 +32,23 @@ def conclude(parts: list[Measured], channels: tuple[int, ...], answer: Answer, s
         speed_of_sound_m_s=answer.speed_of_sound_m_s,
         speed_of_sound_std_m_s=answer.speed_of_sound_std_m_s,
         view=answer.view,
+        recording=_recording(parts[0].description),
         residual=answer.residual,
         evaluation=_evaluation(parts[0], channels, answer),
         held_out=answer.held_out,
         suggestions=tuple(answer.suggestions),
         rejections=(*_early_rejections(parts), *answer.rejections),
         weakest=answer.weakest,
+        evidence=answer.evidence,
         sessions=tuple(shares) if len(parts) > 1 else (),
         sound=parts[0].sound if len(parts) == 1 else None,
         warnings=_doubts(parts, channels, answer),
     )
+
+
+def _recording(description: RigDescription) -> Recording:
+    audio = description.audio
+    return Recording(float(audio.sample_rate_hz), audio.recorded_channels(), description.camera.size_px)
 
 
 def _doubts(parts: list[Measured], channels: tuple[int, ...], answer: Answer) -> list[str]:

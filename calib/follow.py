@@ -14,7 +14,7 @@ from calib.errors import CalibrationError, MethodError, NotEnoughDataError
 from calib.memory import Memory
 from calib.pipeline import calibrate
 from calib.progress import progress
-from calib.result import check_result_target, write_calibration
+from calib.result import Calibration, check_result_target, write_calibration
 from calib.settings import Settings
 from calib.sound import Ear, windows_of
 from rigs.errors import SessionError
@@ -26,7 +26,7 @@ PATIENCE = 10  # looks, for the sound of a pose that was saved already
 Say = Callable[[dict[str, Any]], None]
 
 
-def follow(path: Path, target: Path, settings: Settings, say: Say, *, overwrite: bool = False) -> None:
+def follow(path: Path, target: Path, settings: Settings, say: Say, *, overwrite: bool = False) -> Calibration | None:
     """Solve a growing session again and again, and write its result when it grows no more.
 
     Parameters
@@ -41,6 +41,10 @@ def follow(path: Path, target: Path, settings: Settings, say: Say, *, overwrite:
     overwrite : bool
         An earlier result may be replaced.
 
+    Returns
+    -------
+    The last result, of the session as a whole.
+
     Raises
     ------
     CalibrationError, SessionError, TargetError
@@ -49,12 +53,13 @@ def follow(path: Path, target: Path, settings: Settings, say: Say, *, overwrite:
     if settings.method != "joint":
         raise MethodError(f"--follow solves by joint only: leave --method {settings.method} to the finished session")
     check_result_target(target, overwrite=overwrite)
-    follower = Follower(settings, say)
+    follower, result = Follower(settings, say), None
     for session, growth in watch(path):
         if growth is Growth.GROWING:
             follower.look(session)
         else:
-            follower.finish(session, growth, target, overwrite=overwrite)
+            result = follower.finish(session, growth, target, overwrite=overwrite)
+    return result
 
 
 class Follower:
@@ -89,8 +94,8 @@ class Follower:
         else:
             self._say(progress("solved", session, result))
 
-    def finish(self, session: Session, growth: Growth, target: Path, *, overwrite: bool) -> None:
-        """Solve as if the session was given at once, and write the result."""
+    def finish(self, session: Session, growth: Growth, target: Path, *, overwrite: bool) -> Calibration:
+        """Solve as if the session was given at once, write the result, and return it."""
         self._memory.is_over = True
         try:
             result = calibrate(session, self._settings, memory=self._memory)
@@ -99,6 +104,7 @@ class Follower:
             raise
         write_calibration(result, target, overwrite=overwrite)
         self._say(progress(growth.value, session, result, target=target))
+        return result
 
 
 def _is_heard_out(session: Session) -> bool:

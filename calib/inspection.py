@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
@@ -116,18 +118,7 @@ def inspect(session: Session, number: int, mode: TdoaMode) -> View:
 
 
 def draw(view: View, path: Path) -> None:
-    """Draw a view into a PNG or SVG file.
-
-    Raises
-    ------
-    MethodError
-        Matplotlib is not installed.
-    """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an optional dependency
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ImportError as error:
-        raise MethodError("a plot needs Matplotlib: install it with pip install 'acoustic-camera-rig[plot]'") from error
+    """Draw a view into a PNG or SVG file."""
     n_channels = len(view.channels)
     figure = Figure(figsize=(13, INCHES_PER_CHANNEL * n_channels + 1), layout="constrained")
     FigureCanvasAgg(figure)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.answer import Answer
-from calib.camera import View, look
+from calib.camera import View, corner_residuals_px, look
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
+from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas
 from calib.methods import make_problem, refit, solve
 from calib.problem import Estimate, TdoaProblem
@@ -78,7 +79,19 @@ class Measurements:
             view=self.view,
             residual=fitted.residual(),
             warnings=fit_doubts(self.description, fitted),
+            evidence=self.evidence(estimate, fitted),
         )
+
+    def evidence(self, estimate: Estimate, fitted: FittedTdoas) -> Evidence:
+        """Return the residuals of all measurements at an estimate."""
+        problem, view = self.problem, self.view
+        places_m = np.vstack([estimate.microphones_m, problem.known_m])
+        residuals_s = arrivals_of_differences(fitted.residuals_s, problem.pairs, len(places_m))[:, : problem.n_mics]
+        distances_m = np.linalg.norm(estimate.microphones_m - problem.sources_m[:, None], axis=2)
+        corners_px = self.corners.corners_px[np.isin(self.corners.pose, view.pose)]
+        corner_px = corner_residuals_px(corners_px, view.board_to_camera, self.description.board, view.intrinsics)
+        used = np.isfinite(residuals_s)
+        return Evidence(fitted.pose, fitted.buzzer, residuals_s, used, distances_m, corners_px, corner_px)
 
     def covariance(self, estimate: Estimate) -> FloatArray:
         """Return the covariance (3 n_mics + 1, 3 n_mics + 1) of an estimate: microphones, then the speed of sound."""

@@ -20,7 +20,7 @@ from calib.rejections import session_rejections
 from calib.result import Calibration
 from calib.settings import Settings
 from calib.sound_report import sound_report
-from calib.together import Measured, check_one_rig, put_together
+from calib.together import Measured, check_joinable, check_one_rig, put_together
 from calib.unmoved import check_unmoved
 from rigs.session.reader import Session
 
@@ -63,8 +63,9 @@ def calibrate_together(sessions: list[Session], settings: Settings, tell: Callab
     """
     if settings.method != "joint":
         raise MethodError(f"{settings.method} solves one session at a time: several go together by joint only")
+    check_one_rig(sessions)
     parts = [measure(session, settings, tell) for session in sessions]
-    check_one_rig(parts)
+    check_joinable(parts)
     description, channels = parts[0].description, microphone_channels(parts[0].description, settings)
     tell("solving each alone")
     check_unmoved(parts, channels, settings)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.camera import View
 from calib.evaluation import Evaluation
+from calib.evidence import Evidence
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
@@ -59,6 +60,24 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """What tools that read the session beside the result need to know of it.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+    channels : tuple of int
+        Input channel of each column of `time_data`.
+    picture_size_px : (int, int)
+        Width and height.
+    """
+
+    sample_rate_hz: float
+    channels: tuple[int, ...]
+    picture_size_px: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class SessionShare:
     """One of several sessions that a result rests on; each has a speed of sound of its own."""
 
@@ -88,6 +107,8 @@ class Calibration:
         Where the method holds the speed, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
+    recording : Recording
+        How the session was recorded, of several the first.
     residual : Residual
     evaluation : Evaluation or None
     warnings : list of str
@@ -97,6 +118,8 @@ class Calibration:
         None for the paper's methods.
     suggestions : tuple of Suggestion
         Further board positions that would help most, the best first.
+    evidence : Evidence or None
+        Residuals of all measurements, for the report; the YAML file leaves them out.
     weakest : Weakest or None
         How the array is known worst; None for the paper's methods.
     rejections : tuple of Rejection
@@ -114,6 +137,7 @@ class Calibration:
     speed_of_sound_m_s: float
     speed_of_sound_std_m_s: float
     view: View
+    recording: Recording
     residual: Residual
     evaluation: Evaluation | None
     warnings: list[str]
@@ -123,6 +147,7 @@ class Calibration:
     weakest: Weakest | None = None
     rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
+    evidence: Evidence | None = None
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -175,6 +200,11 @@ def as_document(result: Calibration) -> dict[str, Any]:
             "distortion": _rounded(result.view.intrinsics.distortion, 8),
             "corner_rms_px": _rounded(result.view.rms_px, 4),
             "n_poses": len(result.view.board_to_camera),
+        },
+        "recording": {
+            "sample_rate_hz": float(result.recording.sample_rate_hz),
+            "channels": list(result.recording.channels),
+            "picture_size_px": list(result.recording.picture_size_px),
         },
         "warnings": list(result.warnings),
     }

@@ -32,7 +32,7 @@ def show(result: Calibration, path: Path, console: Console) -> None:
         console.print(_warning(warning))
     for number, suggestion in enumerate(result.suggestions, start=1):
         console.print(f"next pose {number}: {escape(suggestion.sentence())}")
-    console.print(f"[bold]Written:[/bold] {escape(str(path))}", soft_wrap=True)
+    console.print(f"Written: {escape(str(path))}", soft_wrap=True, highlight=False)
 
 
 def _microphone_table(result: Calibration) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
@@ -17,6 +18,7 @@ from calib.rejections import Rejection
 from calib.sound import SoundArrivals
 from rigs.description import RigDescription
 from rigs.session.layout import Truth
+from rigs.session.reader import Session
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Measured:
     rejections: list[Rejection] = field(default_factory=list)
 
 
-def check_one_rig(sessions: list[Measured]) -> None:
-    """Refuse sessions that are not of one rig, or are one session.
+def check_one_rig(sessions: Sequence[Measured | Session]) -> None:
+    """Refuse sessions that are not of one rig.
 
     Raises
     ------
@@ -58,21 +60,30 @@ def check_one_rig(sessions: list[Measured]) -> None:
         Naming what differs.
     """
     first = sessions[0]
-    seen: dict[str, str] = {}
-    for other in sessions:
-        if other.sha256 in seen:
-            raise MethodError(f"{seen[other.sha256]} and {other.name} are the same session: name each once")
-        seen[other.sha256] = other.name
+    for other in sessions[1:]:
         for part, of_first, of_other in _parts(first.description, other.description):
             if of_first != of_other:
                 raise MethodError(
                     f"{first.name} and {other.name} are not of one rig: {part} differs; solve them one by one"
                 )
-        if (first.tdoas.sound is None) != (other.tdoas.sound is None) or not np.array_equal(
-            first.tdoas.pairs, other.tdoas.pairs
-        ):
+
+
+def check_joinable(sessions: list[Measured]) -> None:
+    """Refuse a session that is given twice, and sessions that hold different pairs of microphones.
+
+    Raises
+    ------
+    MethodError
+    """
+    first, seen = sessions[0].tdoas, dict[str, str]()
+    for other in sessions:
+        if other.sha256 in seen:
+            raise MethodError(f"{seen[other.sha256]} and {other.name} are the same session: name each once")
+        seen[other.sha256] = other.name
+        same_kind = (first.sound is None) == (other.tdoas.sound is None)
+        if not same_kind or not np.array_equal(first.pairs, other.tdoas.pairs):
             raise MethodError(
-                f"{first.name} and {other.name} do not hold the same pairs of microphones: solve them one by one"
+                f"{sessions[0].name} and {other.name} do not hold the same pairs of microphones: solve them one by one"
             )
 
 

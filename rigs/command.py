@@ -5,8 +5,13 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
+import shutil
 import sys
+import threading
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
 
 import click
 
@@ -15,6 +20,7 @@ from rigs.errors import reason
 INTERRUPTED = 130
 _CONFIGURATION = 2
 _FAULT = 1
+_WORDS = re.compile(r"rig-[a-z]+(?: +-[^;,()]*[^;,() ])|\S+")
 _REMEDIES = {
     errno.ENOSPC: "free some space or choose another disk",
     errno.EDQUOT: "free some space or choose another disk",
@@ -62,6 +68,19 @@ def run(name: str, command: click.Command, arguments: Sequence[str] | None = Non
     return outcome if isinstance(outcome, int) else 0
 
 
+def leave(exit_code: int) -> NoReturn:
+    """End the program, at once where a thread was left behind.
+
+    One that hangs in a driver would come back from it while the interpreter is taken down, and abort the program.
+    """
+    if any(thread.daemon for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):  # nobody reads it any more
+                stream.flush()
+        os._exit(exit_code)
+    sys.exit(exit_code)
+
+
 def _explained(error: Exception) -> tuple[str, int]:
     exit_code = getattr(error, "exit_code", None)
     if isinstance(exit_code, int):
@@ -77,5 +96,20 @@ def _explained(error: Exception) -> tuple[str, int]:
 
 
 def _tell(name: str, message: str, exit_code: int) -> int:
-    print(f"{name}: {message}", file=sys.stderr)  # noqa: T201 - this is the command line
+    line = f"{name}: {message}"
+    if sys.stderr.isatty():
+        line = wrapped(line, shutil.get_terminal_size().columns)
+    print(line, file=sys.stderr)  # noqa: T201 - this is the command line
     return exit_code
+
+
+def wrapped(line: str, width: int) -> str:
+    """Break a line between words; a command that it names stays whole, so that it can be copied."""
+    lines = [""]
+    for word in _WORDS.findall(line):
+        longer = f"{lines[-1]} {word}".lstrip()
+        if len(longer) < width or not lines[-1]:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return "\n".join(lines)

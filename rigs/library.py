@@ -7,11 +7,11 @@ import os
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import platformdirs
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from rigs.description import RigDescription
 from rigs.errors import DescriptionError
@@ -20,6 +20,7 @@ from rigs.remedies import remedies
 MAX_BYTES = 1_000_000
 DEFAULT_RIG = "simulated"
 _MAX_LINES = 8
+Document = TypeVar("Document", bound=BaseModel)
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def find_description(rig: str | None) -> FoundDescription:
             return _open(name, how)
     for how, path in (("./rig.yaml", Path("rig.yaml")), ("user's config folder", user_description_path())):
         if path.exists():
-            return _found(_read(path), str(path), how)
+            return _found(read_document(path, "rig"), str(path), how)
     return _open(DEFAULT_RIG, "default")
 
 
@@ -83,13 +84,24 @@ def parse_description(text: str, where: str) -> RigDescription:
     DescriptionError
         Not YAML, not a mapping, or not valid: one line per problem, each with file, key and remedy.
     """
-    document = _load_yaml(text, where)
+    return parse_document(text, where, RigDescription, "rig")
+
+
+def parse_document(text: str, where: str, model: type[Document], what: str) -> Document:
+    """Read any description of the project from YAML text; `what` it describes is for messages.
+
+    Raises
+    ------
+    DescriptionError
+        Not YAML, not a mapping, or not valid: one line per problem, each with file, key and remedy.
+    """
+    document = load_yaml(text, where)
     if not isinstance(document, dict):
-        raise DescriptionError(f"{where}: not a rig description: give keys and values, as in `name: my rig`")
+        raise DescriptionError(f"{where}: not a {what} description: give keys and values, as in `name: my {what}`")
     try:
-        return RigDescription.model_validate(document)
+        return model.model_validate(document)
     except ValidationError as error:
-        lines = remedies(error, RigDescription)
+        lines = remedies(error, model)
         shown = [f"{where}: {line}" for line in lines[:_MAX_LINES]]
         if len(lines) > _MAX_LINES:
             shown.append(f"{where}: and {len(lines) - _MAX_LINES} more problems")
@@ -126,24 +138,32 @@ def _open(name: str, how: str) -> FoundDescription:
         raise DescriptionError(
             f"{name}: no such rig description (named by {how}): give a path, or a shipped rig: {', '.join(shipped)}"
         )
-    return _found(_read(path), name, how)
+    return _found(read_document(path, "rig"), name, how)
 
 
 def _found(text: str, where: str, how: str) -> FoundDescription:
     return FoundDescription(text, parse_description(text, where), where, how)
 
 
-def _read(path: Path) -> str:
+def read_document(path: Path, what: str) -> str:
+    """Read the text of a description; `what` it describes is for messages.
+
+    Raises
+    ------
+    DescriptionError
+        It cannot be read, or is no such text.
+    """
     try:
         with path.open("rb") as stream:
             content = stream.read(MAX_BYTES + 1)
         if len(content) > MAX_BYTES:
             raise DescriptionError(
-                f"{path}: larger than 1 MB, so not a rig description: name the YAML file of your rig"
+                f"{path}: larger than 1 MB, so not a {what} description: name the YAML file of your {what}"
             )
         return content.decode("utf-8-sig")
     except OSError as error:
-        raise DescriptionError(f"{path}: cannot be read ({error.strerror}): name the YAML file of your rig") from error
+        remedy = f"name the YAML file of your {what}"
+        raise DescriptionError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
     except UnicodeDecodeError as error:
         raise DescriptionError(f"{path}: not UTF-8 text: save it as UTF-8 in your editor") from error
 
@@ -176,7 +196,20 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _load_yaml(text: str, where: str) -> Any:
+def load_yaml(text: str, where: str) -> Any:
+    """Read YAML strictly: no key twice, no aliases.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Its file, for messages.
+
+    Raises
+    ------
+    DescriptionError
+        Not such YAML; says where and what to do.
+    """
     try:
         return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 (a SafeLoader)
     except yaml.MarkedYAMLError as error:

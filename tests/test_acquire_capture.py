@@ -196,7 +196,9 @@ def test_a_board_that_is_never_found_ends_the_wait(tmp_path):
 
 def test_a_picture_too_noisy_for_the_limit_says_which_limit(tmp_path):
     found = small_rig(capture={"still_px": 0.001, "pose_timeout_s": 3})
-    with pytest.raises(errors.CaptureQualityError, match=r"board is moving \([0-9.]+ px\): .* raise capture.still_px"):
+    with pytest.raises(
+        errors.CaptureQualityError, match=r"board is moving \(moved by [0-9.]+ px\): .* raise capture.still_px"
+    ):
         captured(tmp_path / "s.h5", found)
 
 
@@ -204,7 +206,7 @@ def test_a_picture_that_stays_blurred_says_what_helps(tmp_path):
     found = small_rig(capture={"max_blur_px": 0.5, "pose_timeout_s": 3})
     with pytest.raises(
         errors.CaptureQualityError,
-        match=r"board is blurred \(0\.\d+ px\): focus the camera .* raise capture.max_blur_px",
+        match=r"board is blurred \(blur 0\.\d+ px\): focus the camera .* raise capture.max_blur_px",
     ):
         captured(tmp_path / "s.h5", found)
 

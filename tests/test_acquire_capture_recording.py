@@ -205,10 +205,15 @@ def test_a_flood_of_losses_is_one_line_that_says_how_much_is_missing_and_one_for
 
 def test_what_sound_waits_for_is_told(tmp_path):
     rig = choose_devices(small_rig().description)
-    holdups = HoldUps(rig.clock)
+    worked_s = 0.0
+    holdups = HoldUps(rig.clock, lambda: worked_s)
     assert holdups.blame() is Cause.COMPUTER
     with holdups.during(Cause.PICTURES):
         rig.clock.sleep_s(2.0)
+    assert holdups.blame() is Cause.COMPUTER  # it stood still
+    with holdups.during(Cause.PICTURES):
+        rig.clock.sleep_s(2.0)
+        worked_s = 1.9
     with holdups.during(Cause.DISK):
         rig.clock.sleep_s(1.0)
     assert holdups.blame() is Cause.PICTURES
@@ -216,3 +221,24 @@ def test_what_sound_waits_for_is_told(tmp_path):
         rig.clock.sleep_s(1.0)
     rig.clock.sleep_s(1.5)
     assert holdups.blame() is Cause.COMPUTER
+
+
+def test_sound_is_stored_while_another_device_waits_and_left_alone_while_its_own_is_opened(tmp_path):
+    found = small_rig()
+    rig = choose_devices(found.description)
+    writer, recording = recording_of(rig, found, tmp_path / "s.h5", Listener())
+
+    def slowly(call, meanwhile):
+        for _ in range(3):
+            rig.clock.sleep_s(0.6)
+            meanwhile()
+        return call()
+
+    rig.clock.wait_for = slowly
+    with writer:
+        recording.status.advice = "keep quiet"
+        during = recording.attend("camera", lambda: (writer.n_samples, recording.status.advice))
+        assert during[0] == pytest.approx(1.8 * 48000, rel=0.05)
+        assert during[1] == "waiting for the camera"
+        assert recording.status.advice == "keep quiet"
+        assert recording.attend("audio", lambda: writer.n_samples, is_open=False) == during[0]

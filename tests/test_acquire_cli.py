@@ -16,7 +16,7 @@ from acquire import cli as cli_module
 from acquire.cli import cli
 from acquire.screen import LiveScreen, PlainScreen, picture, screen_for
 from acquire.status import Message, State, Status
-from rigs.command import run
+from rigs.command import run, wrapped
 from rigs.description import MIN_POSES, MIN_POSES_FOR_INTRINSICS
 from rigs.session.reader import Session
 
@@ -77,6 +77,13 @@ def test_a_name_that_cannot_be_shown_is_refused_in_one_line(tmp_path, monkeypatc
     assert "has a sign that cannot be shown" in error
     assert name not in error
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [".", "..", "", "/"])
+@pytest.mark.parametrize("arguments", [[], ["--resume"]])
+def test_a_folder_is_no_session(capsys, name, arguments):
+    assert rig_capture("--session", name, *arguments) == 2
+    assert "a folder, not a file: name a file" in capsys.readouterr().err
 
 
 def test_channels_at_fault_until_the_end_are_named_last(tmp_path, rig_file, capsys):
@@ -228,3 +235,25 @@ def test_the_live_display_shows_how_far_a_copy_is():
     with LiveScreen(console) as screen:
         assert [row["pose"] for row in screen.watch(rows, "copying sound")] == [0, 1, 2]
     assert "copying sound" in console.file.getvalue()
+
+
+@pytest.mark.parametrize("width", range(30, 80, 7))
+def test_a_long_line_breaks_between_words_and_never_in_a_command(width):
+    command = "rig-flash --port /dev/pts/0"
+    line = f"rig-capture: no answer; is this the buzzer board? If not, put ours on it: {command} (or another); go on"
+    lines = wrapped(line, width)
+    assert lines.replace("\n", " ") == line
+    assert sum(command in each for each in lines.split("\n")) == 1
+    assert max(map(len, lines.split("\n"))) < width
+
+
+@pytest.mark.parametrize("left_behind", [True, False])
+def test_a_thread_that_was_left_behind_does_not_outlive_the_program(left_behind):
+    code = (
+        "import atexit, threading, time; from rigs.command import leave; atexit.register(print, 'taken down');"
+        f"threading.Thread(target=time.sleep, args=(60 * {left_behind},), daemon={left_behind}).start();"
+        "print('said'); leave(130)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 130
+    assert done.stdout.split("\n") == (["said", ""] if left_behind else ["said", "taken down", ""])

@@ -100,7 +100,8 @@ def test_another_firmware_after_a_reconnection_ends_the_session_with_exit_code_4
         assert session.complete
 
 
-def test_a_board_that_answers_late_and_in_pieces_is_waited_for(bench, tmp_path):
+def test_a_board_that_answers_late_and_in_pieces_is_waited_for(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_hello._TRY_S", 0.1)
     babbler = ScriptedBoard(raw=b"123 ok us=42*")
     bench.deeds = {
         "pose 1 of 2 is good": bench.unplug,
@@ -111,7 +112,7 @@ def test_a_board_that_answers_late_and_in_pieces_is_waited_for(bench, tmp_path):
     def look(status):
         Bench.show(bench, status)
         late["n"] += status.state.value == "reconnecting"
-        if late["n"] == 20:
+        if late["n"] == 60:
             bench.unplug()
             bench.plug_in()
 
@@ -121,7 +122,8 @@ def test_a_board_that_answers_late_and_in_pieces_is_waited_for(bench, tmp_path):
         assert session.poses["accepted"].sum() == 2
 
 
-def test_what_never_makes_sense_ends_the_session_with_exit_code_4_when_the_wait_is_over(bench, tmp_path):
+def test_what_never_makes_sense_ends_the_session_with_exit_code_4_when_the_wait_is_over(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("acquire.devices.board_hello._TRY_S", 0.1)
     babbler = ScriptedBoard(raw=b"grbl 1.1h")
     bench.deeds = {
         "pose 1 of 2 is good": bench.unplug,

@@ -38,17 +38,15 @@ def compared(seed: int, places_m: np.ndarray = MICROPHONES_M):
 
 
 def test_false_alarms_are_as_rare_as_said():
-    differing = [compared(seed).differ for seed in range(600)]
-    assert np.mean(differing) <= FALSE_ALARM + 3 * np.sqrt(FALSE_ALARM / 600)
-    chances = [compared(seed).unmoved.chi_square.chance for seed in range(200)]
-    assert 0.4 < np.mean(chances) < 0.6
-    rigid = [compared(seed).rigid.chi_square.chance for seed in range(200)]
-    assert 0.4 < np.mean(rigid) < 0.6
+    found = [compared(seed) for seed in range(300)]
+    assert np.mean([each.differ for each in found]) <= FALSE_ALARM + 3 * np.sqrt(FALSE_ALARM / 300)
+    for fits in ([each.unmoved for each in found], [each.rigid for each in found if not each.differ]):
+        assert 0.42 < np.mean([fit.chi_square.chance for fit in fits]) < 0.58
 
 
 def test_a_microphone_that_moved_is_named():
     places_m = MICROPHONES_M + 0.0031 * np.outer(np.arange(8) == 3, (0.6, 0.0, 0.8))
-    found = [compared(seed, places_m) for seed in range(60)]
+    found = [compared(seed, places_m) for seed in range(40)]
     assert np.mean([each.best.moved == (3,) and each.best.motion is None for each in found]) > 0.95
     shifts_m = [each.best.own_shift_m(3) for each in found]
     np.testing.assert_allclose(np.mean(shifts_m, axis=0), places_m[3] - MICROPHONES_M[3], atol=0.0002)
@@ -58,7 +56,7 @@ def test_a_microphone_that_moved_is_named():
 
 def test_an_array_that_moved_as_a_whole_is_told_from_one_that_changed():
     motion = Pose.from_rotation_vector(np.radians([0.2, -0.2, 0.1]), np.array([0.0, 0.0021, 0.003]))
-    found = [compared(seed, motion.apply(MICROPHONES_M)) for seed in range(60)]
+    found = [compared(seed, motion.apply(MICROPHONES_M)) for seed in range(40)]
     assert np.mean([each.best.motion is not None and not each.best.moved for each in found]) > 0.95
     assert np.mean([each.best.angle_deg for each in found]) == pytest.approx(0.3, abs=0.05)
     assert "the array as a whole moved against the camera by 3." in verdict(found[0])
@@ -68,13 +66,13 @@ def test_both_at_once_are_told_apart():
     """A camera put back on its tripod, by ten degrees elsewhere, and one microphone knocked."""
     motion = Pose.from_rotation_vector(np.radians([10.0, 0.0, 0.0]), np.array([0.0, 0.05, 0.0]))
     places_m = motion.apply(MICROPHONES_M) + 0.004 * np.outer(np.arange(8) == 6, (0, 1, 0))
-    found = [compared(seed, places_m) for seed in range(30)]
+    found = [compared(seed, places_m) for seed in range(20)]
     assert np.mean([each.best.motion is not None and each.best.moved == (6,) for each in found]) > 0.9
 
 
 def test_a_shift_below_the_uncertainty_is_not_seen():
     places_m = MICROPHONES_M + 0.0001 * np.outer(np.arange(8) == 3, (1, 0, 0))
-    assert np.mean([compared(seed, places_m).differ for seed in range(60)]) < 0.1
+    assert np.mean([compared(seed, places_m).differ for seed in range(40)]) < 0.1
 
 
 def test_an_array_that_changed_everywhere_differs():

@@ -1,7 +1,6 @@
 """Around the arrivals: the cache beside the session, the look at one emission, and memory."""
 
 import os
-import sys
 import tracemalloc
 from pathlib import Path
 
@@ -149,13 +148,6 @@ def test_measured_tdoas_have_no_sound_to_look_at(tmp_path, simulated_description
     path = write_measured_session(tmp_path / "s.h5", simulated_description)
     assert run("rig-calibrate", command, [str(path), "--inspect-tdoa", "0"]) == 2
     assert "no sound" in capsys.readouterr().err
-
-
-def test_without_matplotlib_the_remedy_is_named(path, capsys, monkeypatch):
-    for name in ("matplotlib", "matplotlib.figure", "matplotlib.backends.backend_agg"):
-        monkeypatch.setitem(sys.modules, name, None)
-    assert run("rig-calibrate", command, [str(path), "--inspect-tdoa", "3"]) == 2
-    assert "acoustic-camera-rig[plot]" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("mode", ["matched", "gcc-phat"])

@@ -19,7 +19,7 @@ from calib.joint.problem import Weights
 from calib.joint.session import answer_jointly
 from calib.joint.uncertainty import shared_covariance
 from calib.settings import Settings
-from calib.together import Measured, check_one_rig, put_together
+from calib.together import Measured, check_joinable, check_one_rig, put_together
 from calib.unmoved import check_unmoved
 from rigs.board import board_corners_m
 from rigs.command import run
@@ -77,7 +77,7 @@ def alone(rig: Rig):
 
 def test_two_sessions_are_better_than_each_and_their_covariance_holds():
     squares, errors_alone, errors_together = [], [], []
-    for seed in range(8):
+    for seed in range(6):
         days = two_days(seed)
         together = answered_together(days)
         error_m = (together.microphones_m - days[0].truth.microphones_m).ravel()
@@ -89,7 +89,7 @@ def test_two_sessions_are_better_than_each_and_their_covariance_holds():
         for found, std, true in zip(together.speeds_m_s, together.speed_stds_m_s, SPEEDS_M_S, strict=True):
             assert abs(found - true) < 4 * std
     assert np.mean(errors_together) < 0.8 * np.mean(errors_alone)
-    assert 0.7 < np.mean(squares) / 24 < 1.4  # 1 is exact; 8 pairs of sessions leave a spread of 0.1
+    assert 0.65 < np.mean(squares) / 24 < 1.45  # 1 is exact; 6 pairs of sessions leave a spread of 0.12
 
 
 def test_the_equations_of_several_sessions_match_numeric_derivatives():
@@ -108,6 +108,9 @@ def test_the_equations_of_several_sessions_match_numeric_derivatives():
     weights = problem.stated_weights()
     weights = Weights(weights.arrivals, 0 * weights.corners)
     gradient = problem.normal_equations(at, weights).shared_gradient
+    residuals_s = problem.arrivals.residuals_s(at, weights.arrivals)
+    cost = problem.arrivals.normal_equations(at, weights.arrivals).cost
+    assert cost == pytest.approx(0.5 * np.sum(weights.arrivals * residuals_s**2))
     for place, step in [*((place, 1e-9) for place in range(24, 40)), (40, 1e-4), (41, 1e-4), (3, 1e-7), (43, 1e-7)]:
         costs = []
         for sign in (-1, 1):
@@ -160,7 +163,7 @@ def test_sessions_of_two_rigs_are_refused(part, changes):
     with pytest.raises(MethodError, match=f"not of one rig: {part} differs"):
         check_one_rig([measured(rig, "a"), measured(replace(rig, description=other), "b")])
     with pytest.raises(MethodError, match="the same session"):
-        check_one_rig([measured(rig, "a"), measured(rig, "a")])
+        check_joinable([measured(rig, "a"), measured(rig, "a")])
 
 
 def test_poses_keep_their_names():

@@ -19,6 +19,7 @@ from rigs.waveform import Waveform
 _FIRST_PINGS = 8
 _TRIES = 3
 _QUIET_S = 0.5  # after an emission of which nobody knows when it began
+_LEFT_BEHIND_S = 0.2  # for the reply of a board that does not answer another thread either
 _OVERDUE_S, _LOOK_S = 2.0, 0.02  # how long a sound may outlast its time by the host's clock
 _PLAYS_COUNTED = 1 << 16
 
@@ -94,6 +95,7 @@ class SerialBoard:
 
     def close(self) -> None:
         """Silence the board and let it go; safe to call twice, and while another thread waits for the board."""
+        timeout_s = _LEFT_BEHIND_S if self._turn.locked() else None
         self._is_given_up.set()
         with self._turn:
             self._is_given_up.clear()
@@ -101,7 +103,7 @@ class SerialBoard:
             if link is None:
                 return
             try:
-                link.ask("stop")
+                link.ask("stop", timeout_s=timeout_s)
             except DeviceError:
                 pass  # a board that is gone is silent within its own limit
             finally:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
 from pathlib import Path
 
 import click
 
-from rigs.command import run
+from rigs.command import leave, run
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -42,4 +41,4 @@ def cli(rig: str | None, seed: int | None, as_json: bool) -> int:
 
 def main() -> None:
     """Run `rig-check`."""
-    sys.exit(run("rig-check", cli))
+    leave(run("rig-check", cli))

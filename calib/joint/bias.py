@@ -29,6 +29,7 @@ def without_bias(problem: JointProblem, at: Unknowns, weights: Weights) -> Unkno
     numpy.linalg.LinAlgError
         The measurements do not determine all unknowns.
     """
+    weights = problem.with_onset_weights(weights, at)
     steps = _expected(problem, at, weights).free_equations(at, weights).step(0.0)
     return at.moved(*whole_step(problem, at, *steps))
 
@@ -44,7 +45,11 @@ def _expected(problem: JointProblem, at: Unknowns, weights: Weights) -> JointPro
             mean_px += 0.5 * (there_px - pixels)
     arrivals = replace(problem.arrivals, arrival_s=np.where(problem.arrivals.present, mean_s, np.nan))
     corners = None if problem.corners is None else replace(problem.corners, seen_px=mean_px)
-    return JointProblem(arrivals, corners, replace(problem.priors, mean=at.shared))
+    onsets = problem.onsets
+    if onsets is not None:  # emissions begin at 0 on the axis of these times
+        known_s = np.where(np.isfinite(onsets.onset_s), -at.shared[at.blocks.latencies][onsets.latency], np.nan)
+        onsets = replace(onsets, onset_s=known_s)
+    return JointProblem(arrivals, corners, replace(problem.priors, mean=at.shared), onsets)
 
 
 def _modelled(problem: JointProblem, at: Unknowns) -> tuple[FloatArray, FloatArray]:

@@ -96,8 +96,8 @@ def _focal_doubts(solution: JointSolution, camera: Camera) -> list[str]:
     if std_px == 0 or abs(found_px - given_px) < STRAINED_SIGMAS * std_px:
         return []
     doubt = (
-        f"the focal length came out at {found_px:.0f} px, camera.intrinsics gives {given_px:.0f} px: sound and "
-        "pictures do not agree on depth; calibrate the camera with tilted boards"
+        f"the focal length came out at {found_px:.0f} px, camera.intrinsics gives {given_px:.0f} px: "
+        "this session does not agree with it; calibrate the camera with a flat board, tilted both ways"
     )
     return [doubt]
 

@@ -12,6 +12,7 @@ from calib.camera import View
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
+from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
 from calib.joint.bias import without_bias
@@ -118,6 +119,7 @@ def answer_jointly(
         continuation=Continuation(at, view.pose, solution.scales.arrivals),
         speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
         speed_stds_m_s=tuple(np.sqrt(np.diag(covariance)[at.blocks.speed]).tolist()),
+        evidence=_evidence(solution, chosen, corners.only(np.isin(corners.pose, view.pose)), len(channels)),
     )
 
 
@@ -143,6 +145,32 @@ def refined_view(view: View, solution: JointSolution) -> View:
     poses = [Pose(rotation, place) for rotation, place in zip(at.rotations, at.translations_m, strict=True)]
     rms_px = float(np.sqrt(np.nanmean(np.sum(corners.residuals_px(at) ** 2, axis=2))))
     return View(intrinsics, view.source, view.pose, poses, rms_px)
+
+
+def _evidence(solution: JointSolution, chosen: PairTdoas, corners: PoseCorners, n_mics: int) -> Evidence:
+    at, table = solution.at, solution.problem.corners
+    seen_px = corners.corners_px
+    residuals_s = solution.residuals_s()
+    if chosen.alone:
+        residuals_s = _with_arrivals_of_rejected_pairs(residuals_s, solution, chosen)
+    return Evidence(
+        pose=chosen.pose,
+        buzzer=chosen.buzzer,
+        residuals_s=residuals_s[:, :n_mics],
+        used=solution.used_arrivals[:, :n_mics],
+        distances_m=solution.problem.arrivals.flights(at).distances_m[:, :n_mics],
+        corners_px=seen_px,
+        corner_residuals_px=np.full_like(seen_px, np.nan) if table is None else table.residuals_px(at),
+    )
+
+
+def _with_arrivals_of_rejected_pairs(residuals_s: FloatArray, solution: JointSolution, chosen: PairTdoas) -> FloatArray:
+    """Fill in what became of no arrival, since its pairs were rejected before."""
+    by_pairs_s = arrivals_of_differences(chosen.residuals_s(solution), chosen.pairs, solution.at.blocks.n_mics)
+    fitting = np.where(np.isfinite(residuals_s), by_pairs_s, np.nan)
+    present = np.isfinite(fitting)
+    centre_s = np.where(present, fitting, 0.0).sum(axis=1) / np.maximum(present.sum(axis=1), 1)
+    return np.where(np.isfinite(residuals_s), residuals_s, by_pairs_s - centre_s[:, None])
 
 
 def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:

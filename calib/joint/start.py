@@ -27,8 +27,7 @@ FloatArray = NDArray[np.float64]
 N_DRAWS = 8
 MIN_COMMON_EMISSIONS, MAX_COMMON_EMISSIONS = 12, 120
 REACH_PERCENTILE = 95.0  # of the arrival differences: a few may be wild
-SAME_BASIN_M, SAME_END_M = 0.02, 1e-5
-MAX_STEPS = 60
+SAME_BASIN_M = 0.02
 RIVAL_SCORE = 30.0  # in squared standard deviations
 
 
@@ -59,10 +58,10 @@ def find_start(problem: JointProblem, guess: Unknowns, seed: int) -> Start:
         raise NotEnoughDataError("no TDOA was measured: check buzzers, gains and signal, and capture again")
     table = range_table(problem, guess)
     places_m = np.concatenate([*_closed_form_if_possible(table), _draws(table, seed)])
-    found = _descended(table, places_m)
+    found = descend_together(table, places_m)
     best = int(np.argmin(found.scores()))
     mirrored_m = _mirrored(table, found.places_m[best])
-    found = _joined(found, _descended(table, mirrored_m))
+    found = _joined(found, descend_together(table, mirrored_m))
     best = int(np.argmin(found.scores()))
     return Start(guess.placed(found.places_m[best]), _rival(found, best))
 
@@ -82,14 +81,6 @@ def _draws(table: RangeTable, seed: int) -> FloatArray:
     ranges_m = np.where(present, table.ranges_m, np.nan)[present.any(axis=1)]
     reach_m = float(np.percentile(np.nanmax(ranges_m, axis=1) - np.nanmin(ranges_m, axis=1), REACH_PERCENTILE))
     return np.random.default_rng(seed).uniform(-reach_m, reach_m, size=(N_DRAWS, ranges_m.shape[1], 3))
-
-
-def _descended(table: RangeTable, places_m: FloatArray) -> Candidates:
-    """Descend by least squares, and then by a robust loss from each place where that ended."""
-    ends_m = descend_together(table, places_m, least_squares=MAX_STEPS, robust=0).places_m
-    apart_m = np.linalg.norm(ends_m[:, None] - ends_m, axis=3).max(axis=2)
-    first = np.argmax(apart_m < SAME_END_M, axis=1)
-    return descend_together(table, ends_m[np.unique(first)], least_squares=0)
 
 
 def _mirrored(table: RangeTable, places_m: FloatArray) -> FloatArray:

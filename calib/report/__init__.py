@@ -1,0 +1,1 @@
+"""The report: a result for people, in one self-contained file."""

@@ -1,0 +1,1 @@
+"""Studies: methods tried on many simulated or measured repetitions, on one machine or a cluster."""

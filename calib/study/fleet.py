@@ -1,0 +1,162 @@
+"""Many sessions, each calibrated by itself, on this machine or a cluster: a result file each, and a table of all."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from calib.errors import CalibrationError
+from calib.pipeline import calibrate
+from calib.result import Calibration, write_calibration
+from calib.settings import Settings
+from calib.study.workers import Workers, compute
+from rigs.errors import RigError, TargetExistsError
+from rigs.session.reader import Session
+from rigs.target import check_target
+
+SUMMARY, HEADING = "calibrations.csv", b"session,outcome,"
+GOOD, THERE = "good", "there already: add --overwrite to replace it"
+
+
+@dataclass(frozen=True)
+class FleetRow:
+    """A line of the table: what became of a session.
+
+    Parameters
+    ----------
+    session : str
+    outcome : str
+        GOOD, THERE, or what went wrong.
+    n_poses, n_warnings : int or None
+    std_mm : float or None
+        Root mean square of the microphones' standard deviations.
+    robust_sigma_us, speed_of_sound_m_s, rmse_mm : float or None
+        Of the TDOA residuals; found; against the session's truth, where it has one.
+    """
+
+    session: str
+    outcome: str
+    n_poses: int | None = None
+    std_mm: float | None = None
+    robust_sigma_us: float | None = None
+    speed_of_sound_m_s: float | None = None
+    rmse_mm: float | None = None
+    n_warnings: int | None = None
+
+    @property
+    def is_good(self) -> bool:
+        """There is a result, of now or of before."""
+        return self.outcome in (GOOD, THERE)
+
+
+def calibrate_each(
+    files: tuple[Path, ...], settings: Settings, workers: Workers, table: Path, *, overwrite: bool, console: Console
+) -> list[FleetRow]:
+    """Calibrate sessions one by one; results are written as they come, the table at the end.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        Sessions; a cluster's workers read them under the same names.
+    settings : Settings
+    workers : Workers
+    table : Path
+        CSV file to write.
+    overwrite : bool
+        Replace results that are there; else their sessions are left as they are.
+    console : Console
+
+    Raises
+    ------
+    TargetError, ClusterError
+    """
+    files = tuple(dict.fromkeys(file.absolute() for file in files))
+    _check_table(table, overwrite=overwrite)
+    rows: dict[Path, FleetRow] = {}
+    missing = [file for file in files if overwrite or not _result_path(file).exists()]
+    with console.status(f"0 of {len(missing)} sessions") as status:
+
+        def done(index: int, outcome: Calibration | str) -> None:
+            rows[missing[index]] = _row(missing[index], outcome, overwrite=overwrite)
+            status.update(f"{len(rows)} of {len(missing)} sessions")
+
+        compute(calibrate_file, [(str(file), settings) for file in missing], workers, done)
+    listed = [rows.get(file) or FleetRow(file.name, THERE) for file in files]
+    table.write_text(_csv(listed), encoding="utf-8")
+    return listed
+
+
+def calibrate_file(path: str, settings: Settings) -> Calibration | str:
+    """Calibrate a session; return what was wrong where there is no answer."""
+    try:
+        with Session.open(Path(path)) as session:
+            return calibrate(session, settings)
+    except (CalibrationError, RigError, OSError) as error:
+        return str(error)
+
+
+def show_fleet(rows: list[FleetRow], table: Path, console: Console) -> None:
+    """Print the table."""
+    shown = Table(box=box.SIMPLE_HEAD)
+    for name in ("session", "poses", "std, mm", "residual, us", "speed, m/s", "rmse, mm", "warnings"):
+        shown.add_column(name, justify="left" if name == "session" else "right")
+    for row in rows:
+        if row.outcome != GOOD:
+            continue
+        figures = (row.n_poses, row.std_mm, row.robust_sigma_us, row.speed_of_sound_m_s, row.rmse_mm, row.n_warnings)
+        shown.add_row(Text(row.session), *("" if figure is None else f"{figure:.4g}" for figure in figures))
+    console.print(shown)
+    for row in rows:
+        if row.outcome != GOOD:
+            console.print(Text(f"! {row.session}: {row.outcome}"), soft_wrap=True)
+    console.print(Text(f"Written: {table}"), soft_wrap=True)
+
+
+def _check_table(table: Path, *, overwrite: bool) -> None:
+    if not table.exists():
+        check_target(table)
+        return
+    if not overwrite:
+        raise TargetExistsError(f"{table}: already there: add --overwrite, or name another --output")
+    if not table.is_file() or not table.read_bytes().startswith(HEADING):
+        raise TargetExistsError(f"{table}: is no table of --each: name another --output")
+
+
+def _row(path: Path, outcome: Calibration | str, *, overwrite: bool) -> FleetRow:
+    if isinstance(outcome, str):
+        return FleetRow(path.name, outcome)
+    try:
+        write_calibration(outcome, _result_path(path), overwrite=overwrite)
+    except (RigError, OSError) as error:
+        return FleetRow(path.name, str(error))
+    evaluation = outcome.evaluation
+    return FleetRow(
+        session=path.name,
+        outcome=GOOD,
+        n_poses=len(outcome.view.board_to_camera),
+        std_mm=round(1e3 * float((outcome.std_m**2).sum(axis=1).mean() ** 0.5), 4),
+        robust_sigma_us=round(1e6 * outcome.residual.robust_sigma_s, 4),
+        speed_of_sound_m_s=round(outcome.speed_of_sound_m_s, 3),
+        rmse_mm=None if evaluation is None else round(1e3 * evaluation.rmse_m, 4),
+        n_warnings=len(outcome.warnings),
+    )
+
+
+def _result_path(session: Path) -> Path:
+    return session.with_suffix(".calib.yaml")
+
+
+def _csv(rows: list[FleetRow]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [field.name for field in fields(FleetRow)]
+    writer.writerow(names)
+    writer.writerows([getattr(row, name) for name in names] for row in rows)
+    return text.getvalue()
