@@ -35,12 +35,12 @@ virtual-bench: setup
 	.ci/system-packages
 	@PYTHONPATH=tests $(BIN)/python -m virtual_bench
 
-# README's pictures, from the demo's report and its verification; the bench guide's drawings, from rigs/bench8.yaml
+# README's pictures, from the demo's report and its verification, and the bench guide's drawings
 figures: setup
 	.ci/system-packages
 	$(BIN)/python docs/figures/screenshot.py demo.report.html docs/figures/report.png
 	$(BIN)/rig-verify demo.h5 --calibration demo.calib.yaml --overwrite
-	$(BIN)/python docs/figures/overlay.py demo.verify/pose-010.png docs/figures/verify.jpg
+	$(BIN)/python docs/figures/overlay.py
 	$(BIN)/python docs/figures/bench.py
 
 bench: setup
@@ -73,4 +73,5 @@ lock:
 	    --extra aislab --extra study --group dev --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz demo.verify
+	rm -rf .venv virtual-bench firmware/build .coverage* .mypy_cache .ruff_cache .pytest_cache
+	rm -rf demo.h5 demo.calib.yaml demo.report.html demo.arrivals.npz demo.verify

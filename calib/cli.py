@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rigs.command import run
+from rigs.target import session_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +28,9 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("files", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
+@click.argument(
+    "files", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path), callback=session_files
+)
 @click.option(
     "--method",
     type=click.Choice(METHODS),
@@ -59,7 +62,14 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     "--hold",
     type=click.Choice(BLOCKS),
     multiple=True,
-    help="Joint holds this at what the rig description, or a fit to the corners alone, says (may be repeated).",
+    help="Joint holds this at what the rig description, or a fit to the corners alone, says, and takes it to be as "
+    "uncertain as that is (may be repeated).",
+)
+@click.option(
+    "--exact",
+    type=click.Choice(BLOCKS),
+    multiple=True,
+    help="Like --hold, but taken to be without any error: only if you know it to be (may be repeated).",
 )
 @click.option("--find-delays", is_flag=True, help="Joint finds a constant delay of each channel too.")
 @click.option(
@@ -104,6 +114,7 @@ def command(
     reference: int | None,
     exclude_channel: tuple[int, ...],
     hold: tuple[str, ...],
+    exact: tuple[str, ...],
     find_delays: bool,
     suggest_poses: int,
     ignore_sync: bool,
@@ -144,7 +155,9 @@ def command(
         _export(files, output, overwrite, formats, console)
         return None
     target = output or _result_path(files)
-    settings = Settings(method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync)
+    settings = Settings(
+        method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync, exact
+    )
     if each:
         return _each(files, output, settings, cluster, console, overwrite=overwrite)
     publication = Publication(target, overwrite, report, plots, formats)

@@ -26,6 +26,7 @@ def conclude(parts: list[Measured], channels: tuple[int, ...], answer: Answer, s
         session_name=" + ".join(part.name for part in parts),
         session_sha256=parts[0].sha256 if len(parts) == 1 else "",
         method=settings.method,
+        held=settings.holds,
         channels=channels,
         positions_m=answer.microphones_m,
         array_covariance_m2=answer.array_covariance_m2,

@@ -20,6 +20,7 @@ USUAL_SIGMA_S = 0.5e-6  # of TDOAs measured in a room's sound
 LARGE_SIGMA_FACTOR = 3.0
 LARGE_REJECTED_SHARE = 0.05
 CULPRIT_SHARE = 0.5
+FEW_PAIRS = 3
 
 
 def session_doubts(session: Session) -> list[str]:
@@ -99,4 +100,6 @@ def _culprit(fitted: FittedTdoas, rejected: NDArray[np.bool_]) -> str:
         if bad and len(bad) < len(shares):
             where = "board.buzzers in the rig description" if kind == "buzzer" else "what happened there"
             return f", most of those of {kind} {' and '.join(bad[:4])}: check {where}"
+    if fitted.residuals_s.shape[1] <= FEW_PAIRS:
+        return ": of three microphones, one that is wrong spoils the others: leave fewer channels out"
     return ": check the room for noise and echo, and the rig description"

@@ -38,10 +38,10 @@ def microphone_channels(description: RigDescription, settings: Settings) -> tupl
             )
     if reference is not None and settings.method != "ours-1":
         raise MethodError(f"{settings.method} has no reference microphone: leave --reference out, or take ours-1")
-    of_joint = settings.hold or settings.find_delays or settings.suggest_poses or settings.ignore_sync
+    of_joint = settings.holds or settings.find_delays or settings.suggest_poses or settings.ignore_sync
     if settings.method != "joint" and of_joint:
         raise MethodError(
-            f"{settings.method} holds all but the microphones: leave --hold, --find-delays, --ignore-sync and "
+            f"{settings.method} holds all but the microphones: leave --hold, --exact, --find-delays, --ignore-sync and "
             "--suggest-poses to joint"
         )
     if reference in settings.excluded_channels:

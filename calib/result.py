@@ -20,7 +20,7 @@ from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import KINDS, Rejection
 from rigs import __version__
-from rigs.errors import TargetExistsError
+from rigs.errors import TargetError, TargetExistsError, reason
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
 from rigs.target import check_target
 
@@ -104,7 +104,7 @@ class Calibration:
     array_covariance_m2 : (3 n_mics, 3 n_mics) array
         Of all microphones together.
     speed_of_sound_m_s, speed_of_sound_std_m_s : float
-        Where the method holds the speed, the standard deviation is the rig description's.
+        Where the speed is held, the standard deviation is the rig description's.
     view : View
         Camera and board poses.
     recording : Recording
@@ -120,6 +120,8 @@ class Calibration:
         Further board positions that would help most, the best first.
     evidence : Evidence or None
         Residuals of all measurements, for the report; the YAML file leaves them out.
+    held : tuple of str
+        Blocks of unknowns that the method was told to hold.
     weakest : Weakest or None
         How the array is known worst; None for the paper's methods.
     rejections : tuple of Rejection
@@ -144,6 +146,7 @@ class Calibration:
     sound: dict[str, Any] | None = None
     held_out: HeldOut | None = None
     suggestions: tuple[Suggestion, ...] = ()
+    held: tuple[str, ...] = ()
     weakest: Weakest | None = None
     rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
@@ -173,6 +176,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
         "frame": CAMERA_FRAME,
         "tdoa_sign": TDOA_SIGN,
         "method": result.method,
+        "held": list(result.held),
         "software": f"acoustic-camera-rig {__version__}",
         "speed_of_sound_m_s": _rounded(result.speed_of_sound_m_s, 4),
         "speed_of_sound_std_m_s": _rounded(result.speed_of_sound_std_m_s, 4),
@@ -240,13 +244,17 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
     Raises
     ------
     TargetError
-        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder.
+        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder,
+        or it cannot be written to.
     OSError
-        The folder cannot be written to.
+        The disk is full.
     """
     check_result_target(path, overwrite=overwrite)
     text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(text)

@@ -61,7 +61,7 @@ def _fit_table(result: Calibration) -> Table:
         for share in result.sessions
     ]
     speed = f"{result.speed_of_sound_m_s:.2f} m/s"
-    held = result.method != "joint"
+    held = result.method != "joint" or "speed" in result.held
     speed += (
         f" held, known to +- {result.speed_of_sound_std_m_s:.2f}"
         if held
@@ -73,16 +73,17 @@ def _fit_table(result: Calibration) -> Table:
         checked = result.held_out
         words = f"{1e6 * checked.robust_sigma_s:.2f} us robust sigma, folds spread by {1e3 * checked.spread_m:.2f} mm"
         held_out = [("held-out poses", words)]
+    measured = f"; measured by {result.sound['tdoa']}" if result.sound else ""
     focal = ", ".join(f"{value:.1f}" for value in view.intrinsics.focal_px)
     return _pairs_table(
         [
-            ("method", result.method),
+            ("method", result.method + (f", {', '.join(result.held)} held" if result.held else "")),
             (
                 "TDOA residual",
                 f"{1e6 * residual.robust_sigma_s:.2f} us robust sigma, {1e6 * residual.rms_s:.2f} us rms",
             ),
             *held_out,
-            ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected"),
+            ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected{measured}"),
             *_left_out(result.rejections),
             *(shares or [("speed of sound", speed)]),
             ("camera", f"focal length {focal} px, from the {view.source}"),

@@ -27,7 +27,9 @@ class Settings:
         How arrivals are measured in the sound.
     hold : tuple of str
         Blocks of unknowns that joint holds: "speed", "buzzers", "scale", "corners", "intrinsics",
-        "poses".
+        "poses". Their own errors count in the covariance.
+    exact : tuple of str
+        Likewise, and known exactly.
     find_delays : bool
         Joint finds a delay of each channel.
     ignore_sync : bool
@@ -45,3 +47,9 @@ class Settings:
     find_delays: bool = False
     suggest_poses: int = 0
     ignore_sync: bool = False
+    exact: tuple[str, ...] = ()
+
+    @property
+    def holds(self) -> tuple[str, ...]:
+        """What is held, known exactly or not."""
+        return tuple(dict.fromkeys((*self.hold, *self.exact)))

@@ -11,6 +11,7 @@ import click
 from rigs.command import run
 from rigs.session.aislab_command import import_group
 from rigs.session.export_commands import audio, frames
+from rigs.target import session_file
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -20,7 +21,7 @@ def cli() -> None:
 
 
 @cli.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("--verify", is_flag=True, help="Read everything and compare the checksums.")
 def info(file: Path, verify: bool) -> int:
     """Tell what the session FILE holds.
@@ -33,14 +34,14 @@ def info(file: Path, verify: bool) -> int:
 
 
 @cli.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Session file to make.")
-def recover(file: Path, output: Path) -> None:
+def recover(file: Path, output: Path) -> int:
     """Copy the good part of a cut-off or damaged session FILE to a new one, and tell what was kept and dropped.
 
     FILE is never changed, and nothing is written over. Damaged sound becomes silence of the same length.
 
-    Exit code: 0 good, 2 wrong usage, 3 the disk is full, 5 nothing can be recovered.
+    Exit code: 0 good, 2 wrong usage, 3 the disk is full, 5 nothing can be recovered, or no good pose.
     """
     from rich.console import Console
     from rich.progress import track
@@ -53,7 +54,11 @@ def recover(file: Path, output: Path) -> None:
     click.echo(f"kept     {recovery.kept()}")
     for line in recovery.dropped or ["nothing"]:
         click.echo(f"dropped  {line}")
-    click.echo(f"{output}: a complete session; {file} is as it was")
+    if recovery.n_accepted:
+        click.echo(f"{output}: a complete session; {file} is as it was")
+        return 0
+    click.echo(f"{output}: a session without a good pose, nothing to calibrate from; {file} is as it was")
+    return 5
 
 
 cli.add_command(import_group)

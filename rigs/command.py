@@ -84,7 +84,8 @@ def leave(exit_code: int) -> NoReturn:
 def _explained(error: Exception) -> tuple[str, int]:
     exit_code = getattr(error, "exit_code", None)
     if isinstance(exit_code, int):
-        return str(error), exit_code
+        remedy = getattr(error, "remedy", "")
+        return f"{error}{': ' + remedy if remedy else ''}", exit_code
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         remedy = _REMEDIES.get(error.errno or 0)

@@ -34,6 +34,18 @@ class SessionError(RigError):
     exit_code = 5
 
 
+class DamagedSessionError(SessionError):
+    """A session file is damaged, of which a part may still be good.
+
+    Attributes
+    ----------
+    remedy : str
+        What to do; ends the line that a command line shows.
+    """
+
+    remedy = "`rig-session recover FILE -o NEW.h5` copies what is good"
+
+
 class SessionWriteError(SessionError):
     """The disk is full, or lost, while a session is written; what was flushed before is kept."""
 

@@ -14,6 +14,17 @@ from rigs.errors import TargetError, TargetExistsError
 _BEGINNINGS = {"session": b"\x89HDF\r\n\x1a\n", "calibration": b"format: acoustic-rig-calibration"}
 
 
+def session_file(_context: object, _parameter: object, path: Path) -> Path:
+    """Return a session's file, named as `rig-capture --session` takes it: s1 is s1.h5, unless there is an s1."""
+    named = path.with_name(f"{path.name}.h5") if path.name not in ("", "..") else path
+    return named if named.is_file() and not path.exists() else path
+
+
+def session_files(context: object, parameter: object, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return several sessions' files, as `session_file` does."""
+    return tuple(session_file(context, parameter, path) for path in paths)
+
+
 def check_target(path: Path, *, replaces: Literal["session", "calibration"] | None = None) -> None:
     """Refuse a target before any work is done for it.
 

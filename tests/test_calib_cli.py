@@ -10,10 +10,12 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from conftest import MICROPHONES_M, make_world, write_measured_session
+from conftest import MICROPHONES_M, board_poses, make_world, write_measured_session
 
 from calib.cli import command
+from rigs.board import board_corners_m, project
 from rigs.command import run
+from rigs.description import Intrinsics
 
 PAIRS = list(combinations(range(8), 2))
 
@@ -150,6 +152,43 @@ def test_bad_files_are_refused(tmp_path, session, capsys, content, reason):
     assert exit_code == 5
     assert "bad.h5" in error
     assert not list(tmp_path.glob("bad.calib.yaml"))
+
+
+def test_a_session_goes_by_its_name(session, monkeypatch):
+    monkeypatch.chdir(session.parent)
+    assert calibrate("s1") == 0
+    assert Path("s1.calib.yaml").is_file()
+
+
+def test_a_folder_that_takes_no_files_is_told(session, capsys):
+    exit_code, error = refused(capsys, session, "-o", "/proc/a.yaml")
+    assert exit_code == 2
+    assert error.startswith("rig-calibrate: /proc/a.yaml: cannot be made")
+
+
+def test_the_screen_says_what_was_left_out(tmp_path, simulated_description, capsys):
+    points_m = board_corners_m(simulated_description.board)
+    intrinsics = Intrinsics(focal_px=(940.0, 940.0), principal_px=(640.0, 360.0))
+    corners_px = np.array([project(points_m, pose, intrinsics) for pose in board_poses(12, 0)])
+    corners_px[3] = np.nan
+    path = write_measured_session(tmp_path / "s.h5", simulated_description, corners_px=corners_px)
+    assert calibrate(path, "--hold", "speed") == 0
+    said = capsys.readouterr().out
+    assert "joint, speed held" in said
+    assert "held, known to +-" in said
+    assert "11 poses, corners" in said
+
+
+def test_a_folder_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert refused(capsys, ".") == (5, "rig-calibrate: .: not a file: name a session file, such as s1.h5")
+
+
+def test_a_damaged_file_is_refused_with_a_remedy(session, capsys):
+    session.write_bytes(session.read_bytes()[:-2000])
+    exit_code, error = refused(capsys, session)
+    assert exit_code == 5
+    assert error.endswith("`rig-session recover FILE -o NEW.h5` copies what is good")
 
 
 def test_foreign_hdf5_is_refused(tmp_path, capsys):

@@ -12,12 +12,12 @@ pytest.importorskip("distributed")
 
 import pyarrow.parquet as pq
 
-# 40 parts of a tenth of a second
+# 24 parts of a tenth of a second
 STUDY = """
 format: acoustic-study
 version: 1
 name: parts
-repetitions: 200
+repetitions: 120
 speed_of_sound_m_s: 343
 arrays: {ring: {kind: ring, n_mics: 8, radius_m: 0.25, rise_m: 0.3}}
 boards: {bench: {kind: rig, rig: bench8}}
@@ -81,7 +81,7 @@ def test_a_killed_worker_loses_and_doubles_nothing(rig_study, tmp_path):
     assert running.returncode == 0, err
     _, err = (only := rig_study(alone, "--workers", "1")).communicate(timeout=START_S)
     assert only.returncode == 0, err
-    assert results(shared).column("repetition").to_pylist() == list(range(200))
+    assert results(shared).column("repetition").to_pylist() == list(range(120))
     assert results(shared).equals(results(alone))
 
 
@@ -102,7 +102,7 @@ def test_a_scheduler_that_dies_is_told_and_what_was_finished_stays(rig_study, tm
     resumed = rig_study(output, "--workers", "2")
     _, err = resumed.communicate(timeout=START_S)
     assert resumed.returncode == 0, err
-    assert results(output).column("repetition").to_pylist() == list(range(200))
+    assert results(output).column("repetition").to_pylist() == list(range(120))
     assert all((output / "parts" / "parts" / name).stat().st_mtime_ns == time for name, time in kept.items())
 
 

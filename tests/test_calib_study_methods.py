@@ -10,7 +10,7 @@ from conftest import AISLAB, MICROPHONES_M, SPEED_M_S, make_world
 pytest.importorskip("pyarrow")
 
 from calib.baseline.batch import PairBatch, against_known, all_pairs, star
-from calib.baseline.coordinate_search import ArrayState, rotation_matrices, search_coordinates
+from calib.baseline.coordinate_search import ArrayState, search_coordinates
 from calib.baseline.gauss_newton import gauss_newton
 from calib.baseline.gauss_newton_batch import gauss_newton_together
 from calib.baseline.legg_2013 import FlightBatch, legg_2013
@@ -116,12 +116,6 @@ def plain_search(sources_m, targets_m, microphones_m, origin_m):  # noqa: C901 -
                 sign = search(microphones_m[mic], axis, step_m, logged, sign, 20, 10)
         step_m /= 1.1
     return pose, microphones_m
-
-
-def test_rotation_matrices_are_those_of_the_rigs():
-    turns_rad = np.random.default_rng(0).normal(size=(5, 3))
-    expected = [rotation_matrix(turn) for turn in turns_rad]
-    np.testing.assert_allclose(rotation_matrices(turns_rad), expected, atol=1e-12)
 
 
 def test_legg_2013_finds_speed_latency_and_microphones_in_spite_of_outliers():

@@ -52,6 +52,7 @@ def test_info_verify_finds_damage(tmp_path, capsys):
     assert exit_code == 5
     assert "audio block 0 is damaged" in out
     assert "and 14 more" in out
+    assert "remedy     `rig-session recover FILE -o NEW.h5`" in out
 
 
 def test_info_shows_hostile_text_harmlessly(tmp_path, capsys):

@@ -2,8 +2,10 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 
 import h5py
@@ -13,7 +15,7 @@ from example_sessions import BUZZER, TRUTH, measured, new_session, picture, samp
 
 from rigs.cli import cli
 from rigs.command import run
-from rigs.errors import SessionError, TargetError, TargetExistsError
+from rigs.errors import DamagedSessionError, SessionError, TargetError, TargetExistsError
 from rigs.session import layout
 from rigs.session import recover as recovering
 from rigs.session.damaged import lookup3
@@ -168,7 +170,7 @@ def test_a_truncated_complete_session_keeps_its_beginning(tmp_path):
             add_pose(writer, pose)
             end_pose(writer, pose)
     os.truncate(path, path.stat().st_size // 2)
-    with pytest.raises(SessionError, match="rig-session recover"):
+    with pytest.raises(DamagedSessionError, match="HDF5 cannot open it"):
         Session.open(path)
     assert 3 <= recover(path, tmp_path / "new.h5").n_accepted < 20
 
@@ -322,6 +324,57 @@ def test_the_command_tells_what_was_kept_and_dropped(wreck, capsys):
     assert "dropped  0.02 s of damaged sound, now silence: at 0.28 s" in printed
     assert run("rig-session", cli, ["info", str(wreck.with_name("new.h5"))]) == 0
     assert "recovered  from s.h5" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ctrl_c_is_not_lost_in_a_callback(wreck):
+    """An exception in a weak reference's callback goes nowhere: HDF5's objects die at any time."""
+
+    class Dying:
+        pass
+
+    def watch(rows, what):
+        for row in rows:
+            dying = Dying()
+            reference = weakref.ref(dying, lambda _: signal.raise_signal(signal.SIGINT))
+            del dying
+            yield row
+            assert reference() is None
+
+    with pytest.raises(KeyboardInterrupt):
+        recover(wreck, wreck.with_name("new.h5"), watch)
+    assert sorted(each.name for each in wreck.parent.iterdir()) == ["s.h5", "s.h5.journal"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_last_poses_without_pictures_count_no_longer(tmp_path):
+    path = tmp_path / "s.h5"
+    with new_session(path) as writer:
+        for pose in range(4):
+            add_pose(writer, pose)
+            end_pose(writer, pose)
+    content = path.read_bytes()
+    with Session.open(path) as session:
+        places = [content.index(session._png(row).tobytes()) for row in np.flatnonzero(session.frames["pose"] >= 2)]
+    for place in places:
+        spoiled(path, place + 60)
+    recovery = recover(path, tmp_path / "new.h5")
+    assert recovery.n_accepted == 2
+    assert any(line.startswith("2 poses at the end count no longer") for line in recovery.dropped)
+
+
+def test_a_copy_without_a_good_pose_is_no_success(tmp_path, capsys):
+    path = tmp_path / "s.h5"
+    with new_session(path) as writer:
+        add_pose(writer, 0)
+    assert run("rig-session", cli, ["recover", str(path), "-o", str(tmp_path / "new.h5")]) == 5
+    assert "without a good pose, nothing to calibrate from" in capsys.readouterr().out
+
+
+def test_a_folder_is_no_session(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("rig-session", cli, ["recover", ".", "-o", "new.h5"]) == 5
+    assert ".: a folder: name a session file" in capsys.readouterr().err
 
 
 def test_checksums_are_those_of_hdf5(tmp_path):

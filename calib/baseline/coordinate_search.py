@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.baseline.batch import FloatArray, PairBatch, distances
+from calib.joint.unknowns import rotation_matrices
 
 POSE_PASSES, POSE_TRIALS, POSE_EARLY = 10, 10, 4
 FIRST_TURN_RAD, FIRST_SHIFT_M, POSE_SHRINK, LAST_SHIFT_M = 1e-3, 1e-2, 10.0, 1e-5
@@ -51,16 +52,6 @@ def search_coordinates(batch: PairBatch, start: ArrayState) -> ArrayState:
     known_m, _ = distances(batch.known_m, batch.sources_m)
     targets_m = batch.tdoa_s * batch.speed_m_s + known_m
     return _search_microphones(batch.sources_m, targets_m, _search_pose(batch.sources_m, targets_m, start))
-
-
-def rotation_matrices(turns_rad: FloatArray) -> FloatArray:
-    """Turn rotation vectors (n, 3) into matrices (n, 3, 3) by Rodrigues' formula."""
-    angle = np.linalg.norm(turns_rad, axis=1)[:, None, None]
-    cross = np.zeros((len(turns_rad), 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        cross[:, j, i], cross[:, i, j] = turns_rad[:, k], -turns_rad[:, k]
-    half = np.sinc(angle / (2 * np.pi))
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross)
 
 
 def _search_pose(sources_m: FloatArray, targets_m: FloatArray, state: ArrayState) -> ArrayState:

@@ -13,6 +13,7 @@ from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.joint.arrivals import ArrivalTable
 from calib.joint.corners import CornerTable
+from calib.joint.held import CornerFit
 from calib.joint.onsets import OnsetTable
 from calib.joint.pairs import arrivals_of_pairs
 from calib.joint.problem import JointProblem, Priors
@@ -80,6 +81,7 @@ def assemble(
     channels: tuple[int, ...],
     *,
     hold: tuple[str, ...] = (),
+    exact: tuple[str, ...] = (),
     find_delays: bool = False,
     ignore_sync: bool = False,
     media: tuple[Medium, ...] = (),
@@ -97,7 +99,9 @@ def assemble(
         Of the microphones to be found.
     hold : tuple of str
         Of "speed", "buzzers", "scale", "corners", "intrinsics" and "poses": held at what the rig description, or
-        `view`, says.
+        `view`, says, and as uncertain as that is.
+    exact : tuple of str
+        Likewise, and known exactly.
     find_delays : bool
         Channels may be late, each by a constant time.
     ignore_sync : bool
@@ -117,7 +121,7 @@ def assemble(
         np.array([buzzer.position_m for buzzer in description.board.buzzers]),
         camera_vector(view.intrinsics),
         view.board_to_camera,
-        0 if "corners" in hold else n_corners(description.board),
+        n_corners(description.board),
     )
     start = _in_media(start, media) if media else start
     table = arrival_table(description, view, tdoas, nodes(description, channels))
@@ -130,13 +134,19 @@ def assemble(
     if reference is not None:
         std[start.blocks.microphone(len(channels))] = reference.position_std_m
     std[start.blocks.delays] = DELAY_STD_S if find_delays else 0.0
-    for name in set(hold) - {"poses", "corners"}:
+    held = np.zeros(start.blocks.size, dtype=bool)
+    for name in {*hold, *exact} - {"poses"}:
+        held[_named(start.blocks, name)] = True
+    for name in set(exact) - {"poses"}:
         std[_named(start.blocks, name)] = 0.0
-    priors = Priors(start.shared, std, poses_held="poses" in hold)
+    priors = Priors(start.shared, std, poses_held="poses" in {*hold, *exact}, held=held)
     seen = CornerTable(
         board_corners_m(description.board), corners.corners_px[np.isin(corners.pose, view.pose)], CORNER_STD_PX
     )
-    return JointProblem(table, None if priors.poses_held else seen, priors, onsets), start
+    fit = None
+    if {"intrinsics", "poses"} & {*hold, *exact} and "poses" not in exact:
+        fit = CornerFit.of(seen, start, camera_found=view.source == "session")
+    return JointProblem(table, None if priors.poses_held else seen, priors, onsets, fit), start
 
 
 def _onset_table(view: View, tdoas: EmissionTdoas, table: ArrivalTable, n_buzzers: int) -> OnsetTable | None:
@@ -224,4 +234,10 @@ def camera_std(camera: Camera) -> FloatArray:
 
 
 def _named(blocks: Blocks, name: str) -> slice:
-    return {"speed": blocks.speed, "buzzers": blocks.buzzers, "scale": blocks.scale, "intrinsics": blocks.camera}[name]
+    return {
+        "speed": blocks.speed,
+        "buzzers": blocks.buzzers,
+        "scale": blocks.scale,
+        "intrinsics": blocks.camera,
+        "corners": blocks.corners,
+    }[name]

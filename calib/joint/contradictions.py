@@ -48,13 +48,11 @@ def check_held_intrinsics(solution: JointSolution, usual_std: NDArray[np.float64
     problem, camera = solution.problem, solution.at.blocks.camera
     if problem.corners is None or problem.priors.free[camera].any():
         return
-    std = problem.priors.std.copy()
-    std[camera] = usual_std
-    freed = replace(problem, priors=replace(problem.priors, std=std))
+    freed = replace(problem, priors=problem.priors.with_std(camera, usual_std))
     trial = descend(freed, solution.at, solution.weights(), TRIAL_STEPS)
     if trial.cost < BETTER * solution.cost:
         held_px, found_px = problem.priors.mean[camera][0], trial.end.camera[0]
         raise NotEnoughDataError(
             f"intrinsics with a focal length of {held_px:.0f} px are held, but pictures and sound contradict them and "
-            f"fit {found_px:.0f} px: leave --hold intrinsics out, or calibrate the camera again"
+            f"fit {found_px:.0f} px: do not hold them, or calibrate the camera again"
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calib.joint.arrivals import ArrivalTable
 from calib.joint.corners import CornerTable
 from calib.joint.equations import NormalEquations
+from calib.joint.held import CornerFit
 from calib.joint.onsets import OnsetTable
 from calib.joint.unknowns import Unknowns
 
@@ -25,19 +26,22 @@ class Priors:
     ----------
     mean : (n_shared,) array
     std : (n_shared,) array
-        0 holds a value, infinity leaves it free.
+        0 holds a value that is known exactly, infinity leaves it free.
     poses_held : bool
-        The poses are known and have no unknowns.
+        The poses have no unknowns.
+    held : (n_shared,) bool array, or False
+        Held at `mean`, which is off by `std` all the same.
     """
 
     mean: FloatArray
     std: FloatArray
     poses_held: bool = False
+    held: BoolArray | bool = False
 
     @property
     def free(self) -> BoolArray:
         """Which unknowns (n_shared,) are to be found."""
-        return self.std > 0
+        return (self.std > 0) & np.logical_not(self.held)
 
     @property
     def information(self) -> FloatArray:
@@ -45,11 +49,11 @@ class Priors:
         known = self.free & np.isfinite(self.std)
         return np.where(known, 1 / np.where(known, self.std, 1.0) ** 2, 0.0)
 
-    def with_std(self, where: slice | BoolArray, std: float) -> Priors:
-        """Return the priors with another standard deviation of some unknowns."""
-        changed = self.std.copy()
-        changed[where] = std
-        return replace(self, std=changed)
+    def with_std(self, where: slice | BoolArray, std: float | FloatArray) -> Priors:
+        """Return the priors with another standard deviation of some unknowns, which are held no longer."""
+        changed, held = self.std.copy(), np.broadcast_to(self.held, self.std.shape).copy()
+        changed[where], held[where] = std, False
+        return replace(self, std=changed, held=held)
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,15 @@ class JointProblem:
     priors : Priors
     onsets : OnsetTable or None
         None where nothing tells when emissions began.
+    fit : CornerFit or None
+        What intrinsics or poses are held at, where corners alone said it.
     """
 
     arrivals: ArrivalTable
     corners: CornerTable | None
     priors: Priors
     onsets: OnsetTable | None = None
+    fit: CornerFit | None = None
 
     def stated_weights(self) -> Weights:
         """Return the weights that the stated standard deviations give."""
@@ -99,6 +106,7 @@ class JointProblem:
             arrivals=replace(arrivals, pose=numbers[arrivals.pose]),
             corners=None if self.corners is None else self.corners.only(poses),
             onsets=None if self.onsets is None else self.onsets.only(emissions),
+            fit=None if self.fit is None else self.fit.only(poses),
         )
 
     def with_onset_weights(self, weights: Weights, at: Unknowns) -> Weights:

@@ -47,7 +47,7 @@ def check_determined(solution: JointSolution, covariance: FloatArray, n_mics: in
     if open_m > max(MAX_GROWTH * rms_m, HARMLESS_STD_M):
         raise NotEnoughDataError(
             f"focal length and depth cannot be told apart, {tilts}: what is assumed of the camera places the "
-            f"microphones, and without it they are uncertain by {1e3 * open_m:.0f} mm: {MORE_POSES}; or --hold "
+            f"microphones, and without it they are uncertain by {1e3 * open_m:.0f} mm: {MORE_POSES}; or --exact "
             "intrinsics if they are known exactly"
         )
 

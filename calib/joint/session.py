@@ -26,6 +26,7 @@ from calib.joint.problem import JointProblem
 from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import SAME_BASIN_M, find_start
+from calib.joint.strays import stray_doubts
 from calib.joint.suspects import find_suspects
 from calib.joint.suspicion import suspect_doubts
 from calib.joint.threads import on_one_thread
@@ -77,10 +78,14 @@ def answer_jointly(
     ------
     NotEnoughDataError, NotConvergedError
     """
-    problem, guess = assemble(
-        description, view, corners, tdoas, channels,
-        hold=settings.hold, find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
-    )  # fmt: skip
+
+    def posed(hold: tuple[str, ...], exact: tuple[str, ...]) -> tuple[JointProblem, Unknowns]:
+        return assemble(
+            description, view, corners, tdoas, channels, hold=hold, exact=exact,
+            find_delays=settings.find_delays, ignore_sync=settings.ignore_sync, media=media,
+        )  # fmt: skip
+
+    problem, guess = posed(settings.hold, settings.exact)
     solution, rival_m = _solved(problem, guess, view, settings, before)
     check_held_intrinsics(solution, camera_std(description.camera))
     solution, suspects = find_suspects(solution)
@@ -96,6 +101,7 @@ def answer_jointly(
         solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
     fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
     at = solution.at
+    strays = stray_doubts(solution, posed((), ())[0]) if settings.holds else []
     return Answer(
         microphones_m=at.microphones_m[: len(channels)],
         array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
@@ -105,6 +111,7 @@ def answer_jointly(
         residual=fitted.residual(),
         warnings=[
             *_rival_doubts(at.microphones_m, rival_m, channels),
+            *strays,
             *doubts,
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
@@ -181,7 +188,10 @@ def _poses_without_place(view: View, corners: PoseCorners, tdoas: EmissionTdoas)
 
 
 def _suggestions(solution: JointSolution, description: RigDescription, n_mics: int, n_poses: int) -> list[Suggestion]:
-    return suggest_poses(solution, description.camera.size_px, n_mics, n_poses)[1] if n_poses else []
+    if not n_poses:
+        return []
+    problem = replace(solution.problem, priors=replace(solution.problem.priors, held=False))
+    return suggest_poses(replace(solution, problem=problem), description.camera.size_px, n_mics, n_poses)[1]
 
 
 def _with_pairs_that_fit(solution: JointSolution, chosen: PairTdoas) -> JointSolution:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +142,7 @@ def joint_problem(scene: Scene, poses: NDArray[np.intp], arrival_s: FloatArray) 
         arrival_s,
         np.full_like(arrival_s, 1e-6),
     )
-    return JointProblem(table, None, Priors(truth.shared, std, poses_held=True)), replace(truth)
+    return JointProblem(table, None, Priors(truth.shared, std, poses_held=True)), truth
 
 
 def _near(places_m: FloatArray) -> NDArray[np.bool_]:

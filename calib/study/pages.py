@@ -10,7 +10,9 @@ import yaml
 
 from calib.study.description import (
     CubeArray,
+    DrawnPoses,
     GaussianNoise,
+    KnownMicrophone,
     MeasuredNoise,
     RulerArray,
     StudyDescription,
@@ -147,7 +149,7 @@ def _parameters(study: StudyDescription) -> dict[str, str]:
     levels = [f"{1e6 * noise.scale_s:.4g}" for noise in noises.values() if not isinstance(noise, MeasuredNoise)]
     return {
         "array": _array_words(array),
-        "board poses": ", ".join(f"{name} ({each.kind})" for name, each in study.pose_sets.items()),
+        "board poses": ", ".join(_pose_words(each) for each in study.pose_sets.values()),
         "buzzers": "; ".join(f"layout {name}: {len(each.places_m())}" for name, each in study.boards.items()),
         "speed of sound": f"{study.speed_of_sound_m_s:g} m/s",
         "noise": "; ".join(dict.fromkeys(_noise_words(noise) for noise in noises.values())),
@@ -155,7 +157,8 @@ def _parameters(study: StudyDescription) -> dict[str, str]:
         "buzzers out of place": _buzzer_words(study),
         "first guess": f"box of {start.low_m} to {start.high_m} m at {start.offset_m} m, "
         f"moved by up to {start.jitter_m:g} m, "
-        f"drawn {start.drawn}",
+        f"drawn {start.drawn}{_other_starts(study)}",
+        "known microphone": _known_words(study.known_microphone),
         "rounds": str(study.repetitions),
         "Legg's search is judged in the": study.search_judged_in,
     }
@@ -165,6 +168,24 @@ def _array_words(array: object) -> str:
     if isinstance(array, CubeArray):
         return f"corners of a cube of {array.side_m:g} m, centre {array.centre_m} m from the camera"
     return "measured by ruler" if isinstance(array, RulerArray) else type(array).__name__
+
+
+def _pose_words(poses: object) -> str:
+    if isinstance(poses, DrawnPoses):
+        far = f"{poses.nearest_m:g} to {poses.furthest_m:g} m"
+        return f"{poses.n_poses} drawn, {far} away, tilted up to {poses.tilt_deg:g}°"
+    return "the paper's 69"
+
+
+def _other_starts(study: StudyDescription) -> str:
+    others = {method: run.starts for run in study.runs if run.starts for method in run.methods}
+    return "".join(f"; {starts} for {method}" for method, starts in others.items())
+
+
+def _known_words(known: KnownMicrophone | None) -> str:
+    if known is None:
+        return "none"
+    return f"{known.position_m} m" if known.position_m else f"{known.on_board_m} m on the board at the first pose"
 
 
 def _noise_words(noise: object) -> str:

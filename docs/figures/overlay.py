@@ -1,20 +1,20 @@
-"""Make a verification's picture small enough for README: `make figures`, after `make demo`."""
+"""Make the verification's picture of a pose small enough for a page: `make demo figures`."""
 
 from __future__ import annotations
 
-import sys
+from pathlib import Path
 
 import cv2
 
+OVERLAY, SHRUNK = Path("demo.verify/pose-010.png"), Path("docs/figures/verify.jpg")
 
-def main(picture: str, small: str) -> None:
-    """Write three quarters of the picture's size as JPEG."""
-    overlay = cv2.imread(picture)
-    if overlay is None:
-        sys.exit(f"{picture}: no such picture: run rig-verify first")
-    size = (overlay.shape[1] * 3 // 4, overlay.shape[0] * 3 // 4)
-    cv2.imwrite(small, cv2.resize(overlay, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+def main() -> None:
+    """Write a JPEG of three quarters of the size."""
+    picture = cv2.imread(str(OVERLAY))
+    size = (picture.shape[1] * 3 // 4, picture.shape[0] * 3 // 4)
+    cv2.imwrite(str(SHRUNK), cv2.resize(picture, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rigs.errors import SessionError, reason
+from rigs.errors import DamagedSessionError, SessionError, reason
 from rigs.session.damaged import DamagedFile
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -52,9 +52,8 @@ class Container:
         try:
             file = _open_growing(path) if growing else h5py.File(path, "r")
         except (OSError, RuntimeError, ValueError) as error:
-            raise SessionError(
-                f"{path}: HDF5 cannot open it, it is damaged or cut short ({reason(error)}): copy what is "
-                "good to a new file with `rig-session recover`"
+            raise DamagedSessionError(
+                f"{path}: HDF5 cannot open it, it is damaged or cut short ({reason(error)})"
             ) from error
         return cls._checked(file, path, lambda: path.stat().st_size)
 
@@ -100,7 +99,9 @@ class Container:
             Missing, or of another type or shape.
         """
         if name not in self._datasets:
-            raise SessionError(f"{self.path}: the dataset {name} is missing: not a session file, or a damaged one")
+            raise DamagedSessionError(
+                f"{self.path}: the dataset {name} is missing: not a session file, or a damaged one"
+            )
         dataset = self._datasets[name]
         if dataset.dtype != np.dtype(dtype):
             raise SessionError(f"{self.path}: {name} is of type {_short(dataset.dtype)}, not {_short(np.dtype(dtype))}")
@@ -150,7 +151,7 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
-        raise SessionError(f"{path}: damaged or cut short, it cannot be read ({reason(error)})") from error
+        raise DamagedSessionError(f"{path}: damaged or cut short, it cannot be read ({reason(error)})") from error
 
 
 def _is_growing(path: Path) -> bool:
@@ -213,7 +214,7 @@ def _refuse_unusual(dataset: h5py.Dataset, where: str, n_bytes: Callable[[], int
         raise SessionError(f"{where} holds objects of variable length, which a session never does; not read")
     shape, file_bytes = dataset.shape, n_bytes()  # in this order: the file may be growing
     if shape is None or math.prod(shape) * dataset.dtype.itemsize > file_bytes:
-        raise SessionError(f"{where} claims the shape {shape}, more than a file of {file_bytes} bytes can hold")
+        raise DamagedSessionError(f"{where} claims the shape {shape}, more than a file of {file_bytes} bytes can hold")
     if dataset.chunks and math.prod(dataset.chunks) * dataset.dtype.itemsize > _MAX_CHUNK_BYTES:
         raise SessionError(f"{where} is in chunks of {dataset.chunks}, larger than any session has")
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rigs.interruption import interrupted_between_steps
 from rigs.session import layout
 from rigs.session.wreck import Wreck
 from rigs.session.writer import SessionWriter
@@ -59,11 +60,22 @@ def unwatched(rows: NDArray[np.void], _what: str) -> Iterable[np.void]:
 
 def copy(wreck: Wreck, writer: SessionWriter, watch: Watch = unwatched) -> Recovery:
     """Copy all that is good; damaged sound becomes silence of the same length, so that no sample changes its place."""
+    with interrupted_between_steps() as check:
+        return _copy(wreck, writer, lambda rows, what: _checked(watch(rows, what), check))
+
+
+def _checked(rows: Iterable[np.void], check: Callable[[], None]) -> Iterator[np.void]:
+    for row in rows:
+        check()
+        yield row
+
+
+def _copy(wreck: Wreck, writer: SessionWriter, watch: Watch) -> Recovery:
     recovery = Recovery(dropped=list(wreck.remarks))
     good = _copy_sound(wreck, writer, recovery, watch)
     frames = _copy_frames(wreck, writer, recovery, watch)
     emissions = _still_good_emissions(wreck, good, recovery)
-    poses = _with_pose_under_way(_still_good_poses(wreck, emissions, recovery), emissions, frames, recovery)
+    poses = _with_pose_under_way(_still_good_poses(wreck, emissions, frames, recovery), emissions, frames, recovery)
     counted = {layout.EMISSIONS: emissions, layout.POSES: poses}
     streamed = (layout.AUDIO_BLOCKS, layout.CAMERA_FRAMES)  # copied with their sound and pictures
     writer.extend({name: rows for name, rows in (wreck.tables | counted).items() if name not in streamed})
@@ -165,22 +177,26 @@ def _still_good_emissions(wreck: Wreck, good: NDArray[np.int64], recovery: Recov
     return emissions
 
 
-def _still_good_poses(wreck: Wreck, emissions: NDArray[np.void], recovery: Recovery) -> NDArray[np.void]:
-    """Return the poses; those at the end that lost all of their good emissions count no longer.
+def _still_good_poses(
+    wreck: Wreck, emissions: NDArray[np.void], frames: NDArray[np.void], recovery: Recovery
+) -> NDArray[np.void]:
+    """Return the poses; those at the end that lost all of their good emissions, or all pictures, count no longer.
 
-    One in the middle goes on counting, for its pictures, and so that the k-th good pose stays the k-th.
+    One in the middle goes on counting, so that the k-th good pose stays the k-th.
     """
-    poses = wreck.tables[layout.POSES].copy()
-    had = np.isin(
-        poses["pose"], wreck.tables[layout.EMISSIONS]["pose"][wreck.tables[layout.EMISSIONS]["accepted"] != 0]
-    )
-    have = np.isin(poses["pose"], emissions["pose"][emissions["accepted"] != 0])
-    lost = (poses["accepted"] != 0) & had & ~have
+    poses, before = wreck.tables[layout.POSES].copy(), wreck.tables[layout.EMISSIONS]
+    lost = np.zeros(len(poses), dtype=bool)
+    for had, have in (
+        (before["pose"][before["accepted"] != 0], emissions["pose"][emissions["accepted"] != 0]),
+        (wreck.tables[layout.CAMERA_FRAMES]["pose"], frames["pose"]),
+    ):
+        lost |= np.isin(poses["pose"], had) & ~np.isin(poses["pose"], have)
+    lost &= poses["accepted"] != 0
     lost &= np.arange(len(poses)) > np.max(np.flatnonzero((poses["accepted"] != 0) & ~lost), initial=-1)
     poses["accepted"][lost] = 0
     if lost.any():
         recovery.dropped.append(
-            f"{np.count_nonzero(lost)} poses at the end count no longer: none of their emissions is left"
+            f"{np.count_nonzero(lost)} poses at the end count no longer: their emissions or their pictures are all lost"
         )
     return poses
 

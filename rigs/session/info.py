@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from rigs.errors import DamagedSessionError
 from rigs.session.layout import CLOCK_SESSION, FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
 
@@ -33,6 +34,8 @@ def show(path: Path, *, verify: bool, console: Console | None = None) -> int:
         _print(console, "problem", problem, "yellow")
     if len(problems) > _MAX_PROBLEMS:
         _print(console, "problem", f"and {len(problems) - _MAX_PROBLEMS} more", "yellow")
+    if verify and problems:
+        _print(console, "remedy", DamagedSessionError.remedy)
     if verify and not problems:
         _print(console, "checksums", "all good", "green")
     return _BAD_FILE if verify and problems else 0

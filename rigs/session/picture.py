@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError
+from rigs.errors import DamagedSessionError, SessionError
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _MAX_SIDE_PX = 16384
@@ -53,15 +53,15 @@ def decode(png: NDArray[np.uint8], where: str) -> NDArray[np.uint8]:
     try:
         image = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise SessionError(f"{where}: OpenCV cannot decode this PNG") from error
+        raise DamagedSessionError(f"{where}: OpenCV cannot decode this PNG") from error
     if image is None or image.dtype != np.uint8:
-        raise SessionError(f"{where}: OpenCV cannot decode this PNG")
+        raise DamagedSessionError(f"{where}: OpenCV cannot decode this PNG")
     return cast(NDArray[np.uint8], image)
 
 
 def _check_header(header: bytes, where: str) -> None:
     if len(header) < 33 or header[:8] != _SIGNATURE or header[12:16] != b"IHDR":
-        raise SessionError(f"{where}: not a PNG picture")
+        raise DamagedSessionError(f"{where}: not a PNG picture")
     width, height, depth, colour = struct.unpack(">IIBB", header[16:26])
     if not (0 < width <= _MAX_SIDE_PX and 0 < height <= _MAX_SIDE_PX and width * height <= _MAX_PIXELS):
         raise SessionError(f"{where}: claims {width} x {height} pixels, which no camera of a rig has; not decoded")

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs.errors import SessionError
+from rigs.errors import DamagedSessionError, SessionError
 from rigs.session import layers, layout, picture
 from rigs.session.checksums import misfits
 from rigs.session.container import Container, reading
@@ -140,7 +140,7 @@ class Session:
             raise SessionError(f"{self.path}: frame {index} is asked for, the session holds {len(self.frames)}")
         png = self._png(index)
         if zlib.crc32(png.data) != self.frames["crc32"][index]:
-            raise SessionError(f"{self.path}: frame {index} is damaged: its checksum does not fit")
+            raise DamagedSessionError(f"{self.path}: frame {index} is damaged: its checksum does not fit")
         return png
 
     def verify(self) -> list[str]:

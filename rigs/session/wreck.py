@@ -74,6 +74,8 @@ class Wreck:
         SessionError
             Foreign, still being recorded, or so damaged that not even its rig description is known.
         """
+        if path.is_dir():
+            raise SessionError(f"{path}: a folder: name a session file, such as s1.h5")
         if is_being_recorded(path):
             raise SessionError(f"{path}: another program still records into it: wait until that has ended")
         journal, container = read_journal(journal_path(path)), None

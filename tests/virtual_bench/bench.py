@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from capturing import rig_text
-from simboard import running_board
 
 from acquire.clock import MonotonicClock
 from acquire.devices.simulated.scene import Scene, draw_scene
@@ -19,7 +18,7 @@ from virtual_bench.ears import Ears
 from virtual_bench.hands import Hands
 from virtual_bench.loudspeaker import Loudspeaker
 from virtual_bench.mjpeg import mjpeg_server
-from virtual_bench.pins import PinTrace
+from virtual_bench.plugs import BoardPlug, Plugs
 from virtual_bench.pulse import pulse_server
 from virtual_bench.sound import Air
 from virtual_bench.truth import write_truth
@@ -49,7 +48,7 @@ class Bench:
     hands: Hands
     ears: Ears
     loudspeaker: Loudspeaker
-    trace: PinTrace
+    plugs: Plugs
 
     def run_for(self, duration_s: float) -> None:
         """Let the bench live for a while."""
@@ -60,7 +59,7 @@ class Bench:
 
     def step(self) -> None:
         """Hear what the pins did, play what is due, and move the board if it is time to."""
-        for emission in self.ears.hear(self.trace.new_edges()):
+        for emission in self.ears.hear(self.plugs.board.new_edges()):
             self.hands.hear(emission.buzzer, emission.on_s)
         self.ears.play()
         if place := self.hands.step():
@@ -89,21 +88,20 @@ def virtual_bench(description: RigDescription, folder: Path, *, seed: int = 0, p
     scene, audio = draw_scene(description, seed), description.audio
     clock, air = MonotonicClock(), Air(scene, audio.sample_rate_hz)
     with ExitStack() as stack:
-        board = stack.enter_context(running_board())
+        board = stack.enter_context(BoardPlug(folder))
         sound = stack.enter_context(pulse_server(channels=len(audio.recorded_channels()), rate_hz=audio.sample_rate_hz))
         loudspeaker = Loudspeaker(sound)
         stack.callback(loudspeaker.close)
         loudspeaker.start()
-        trace = PinTrace(board.trace_path)
-        stack.callback(trace.close)
         executor = stack.enter_context(ThreadPoolExecutor(1))
         buzzers = [buzzer.id for buzzer in description.board.buzzers]
         ears = Ears(air, loudspeaker, buzzers, executor)
         hands = Hands(scene, clock, QUIET_S, PATIENCE_S)
         ears.move(hands.place)
         camera = stack.enter_context(mjpeg_server(View(scene, hands).jpeg, description.camera.fps, port))
-        bench = Bench(folder, sound.environment, scene, hands, ears, loudspeaker, trace)
-        _write_rig(folder, description, board.port, camera.url)
+        plugs = Plugs(board, camera, sound, loudspeaker)
+        bench = Bench(folder, sound.environment, scene, hands, ears, loudspeaker, plugs)
+        _write_rig(folder, description, str(board.port), camera.url)
         _write_environment(folder, sound.environment)
         try:
             yield bench

@@ -71,6 +71,7 @@ class Loudspeaker:
         self.rate_hz, self.channels = server.rate_hz, server.channels
         self.server = server
         self.slips_s: list[float] = []
+        self._paused = False
         self._spawn()
 
     def start(self, timeout_s: float = 20.0) -> None:
@@ -85,8 +86,26 @@ class Loudspeaker:
             time.sleep(0.02)
         self.origin_s = origin_s
 
+    def has_ended(self) -> bool:
+        """Tell whether `pacat` was killed, or lost its server."""
+        return self._pacat.poll() is not None
+
+    def pause(self) -> None:
+        """Play nothing until `go_on`: the sink is suspended."""
+        self._paused = True
+
+    def go_on(self) -> None:
+        """Play on, from the beginning."""
+        self._paused, self.stood_still = False, True
+
+    def is_paused(self) -> bool:
+        """Tell whether nothing is played."""
+        return self._paused
+
     def due(self) -> int:
         """Return how many samples should be written now."""
+        if self._paused:
+            return 0
         return max(0, int(self.sample_at(time.monotonic() + _LEAD_S)) - self.written)
 
     def play(self, samples: NDArray[np.float32]) -> None:
