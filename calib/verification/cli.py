@@ -48,6 +48,7 @@ def command(
     a session missing, damaged or not good enough, 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
+    from rich.markup import escape
 
     from calib.verification.folder import check_folder, write_folder
     from calib.verification.pipeline import verify
@@ -64,7 +65,7 @@ def command(
         check_folder(folder, overwrite=overwrite)
 
         def tell(step: str) -> None:
-            status.update(f"{session.name}: {step} ...")
+            status.update(f"{escape(session.name)}: {step} ...")
 
         verification = verify(opened, array, Limits(limit_deg, limit_moved_mm / 1e3), tell)
         codec = write_folder(verification, opened, folder, overwrite=overwrite, tell=tell)
