@@ -90,7 +90,8 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 @click.option(
     "--each",
     is_flag=True,
-    help="Calibrate each session by itself, all cores at once; a result each, and a table (-o) [calibrations.csv].",
+    help="Calibrate each session by itself, all cores at once; a result each, no report, and a table (-o) "
+    "[calibrations.csv].",
 )
 @click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
@@ -147,6 +148,7 @@ def command(
         return _compare(files, console)
     session = files[0]
     _check_choices(files, one=follow or inspect_tdoa is not None, each=each, cluster=cluster)
+    _check_extras(each=each, asked=bool(plots or export))
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
@@ -209,13 +211,18 @@ def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: s
         raise click.UsageError("--cluster goes with --each")
 
 
+def _check_extras(*, each: bool, asked: bool) -> None:
+    if each and asked:
+        raise click.UsageError("--each writes results and their table: leave --plots and --export to single sessions")
+
+
 def _result_path(sessions: tuple[Path, ...]) -> Path:
     """Return where the result goes if nothing else is asked for: beside the first session."""
     if len(sessions) > MOST_NAMES:
         name = f"{sessions[0].stem}+{len(sessions) - 1}-more"
     else:
         name = "+".join(session.stem for session in sessions)
-    return sessions[0].with_name(f"{name}.calib.yaml")
+    return sessions[0].parent / f"{name}.calib.yaml"  # a name may be empty: "." is refused later
 
 
 def _follow(session: Path, settings: Settings, publication: Publication) -> None:

@@ -21,6 +21,7 @@ from calib.gcc import MIN_SCORE, N_CANDIDATES, PairCorrelator
 from calib.peaks import FIRST_PEAK_SHARE
 from calib.sound import SoundArrivals, TdoaMode, find_arrivals, listener_of, windows_of, wrong_labels
 from calib.windows import EmissionWindows
+from rigs.session.emission_list import whether_it_counts
 from rigs.session.reader import Session
 from rigs.target import check_target
 
@@ -89,13 +90,9 @@ def inspect(session: Session, number: int, mode: TdoaMode) -> View:
     Raises
     ------
     MethodError
-        There is no such emission, or the session begins with measured TDOAs.
+        There is no such emission, its place in the sound is not known, or the session begins with measured TDOAs.
     """
-    rows = accepted_rows(session)
-    if session.tdoas is not None:
-        raise MethodError("this session begins with measured TDOAs: there is no sound to inspect")
-    if number not in rows:
-        raise MethodError(f"emission {number} is none of the accepted ones: they go from {rows[0]} to {rows[-1]}")
+    rows = _rows_with(session, number)
     row = int(np.flatnonzero(rows == number)[0])
     sound = find_arrivals(session, rows, mode)
     waveform = session.description.signal.waveform()
@@ -115,6 +112,21 @@ def inspect(session: Session, number: int, mode: TdoaMode) -> View:
         lag_ms = 1e3 * lags / windows.sample_rate_hz
         chosen_ms = 1e3 * (sound.arrival_s[row] - sound.arrival_s[row, 0])
     return _view(session, sound, row, windows, samples[0], lag_ms, output, chosen_ms)
+
+
+def _rows_with(session: Session, number: int) -> NDArray[np.intp]:
+    """Return the rows of the emissions that count, and this one."""
+    if session.tdoas is not None:
+        raise MethodError("this session begins with measured TDOAs: there is no sound to inspect")
+    n_emissions = len(session.emissions)
+    if number >= n_emissions:
+        raise MethodError(
+            f"there is no emission {number}, they go from 0 to {n_emissions - 1}: "
+            "`rig-session info --emissions` lists them"
+        )
+    if session.emissions["expected_sample"][number] < 0:
+        raise MethodError(f"emission {number} has no known place in the sound: audio was lost while it sounded")
+    return np.union1d(accepted_rows(session), [number]).astype(np.intp)
 
 
 def draw(view: View, path: Path) -> None:
@@ -180,6 +192,9 @@ def _view(
     emission = session.emissions[sound.rows[row]]
     n_kept = int((~sound.flaws.rejected[row]).sum())
     whole = ", ".join(sound.flaws.of_emission(row)) or f"{n_kept} of {len(samples)} channels kept"
+    pose_accepted = bool(session.poses["accepted"][session.poses["pose"] == emission["pose"]].any())
+    counts = whether_it_counts(bool(emission["accepted"]), pose_accepted, int(emission["expected_sample"]))
+    whole += "" if counts == "yes" else f"; does not count{counts.removeprefix('no')}"
     title = f"emission {sound.rows[row]}, pose {emission['pose']}, buzzer {emission['buzzer']}, {sound.mode}: {whole}"
     time_ms = np.asarray(1e3 * np.arange(samples.shape[1]) / windows.sample_rate_hz, dtype=float)
     scaled = output / np.maximum(np.abs(output).max(axis=1, keepdims=True), 1e-30)

@@ -23,14 +23,15 @@ def cli() -> None:
 @cli.command()
 @click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("--verify", is_flag=True, help="Read everything and compare the checksums.")
-def info(file: Path, verify: bool) -> int:
+@click.option("--emissions", is_flag=True, help="List every emission with its number, and whether it counts.")
+def info(file: Path, verify: bool, emissions: bool) -> int:
     """Tell what the session FILE holds.
 
     Exit code: 0 good, 2 wrong usage, 5 a bad file or (with --verify) damaged content.
     """
     from rigs.session.info import show
 
-    return show(file, verify=verify)
+    return show(file, verify=verify, emissions=emissions)
 
 
 @cli.command()

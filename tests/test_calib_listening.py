@@ -1,9 +1,11 @@
 """Around the arrivals: the cache beside the session, the look at one emission, and memory."""
 
 import os
+import shutil
 import tracemalloc
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from conftest import write_measured_session
@@ -15,6 +17,7 @@ from calib.emissions import accepted_rows, measure_tdoas
 from calib.inspection import View
 from calib.sound import SoundArrivals, find_arrivals
 from calib.sound_report import sound_report
+from rigs.cli import cli
 from rigs.command import run
 from rigs.session.reader import Session
 
@@ -126,6 +129,23 @@ def test_a_look_says_why_an_emission_was_left_out(made, tmp_path, capsys):
     assert "candidates" in target.read_text()
 
 
+def test_an_emission_that_does_not_count_can_be_looked_at(path, tmp_path, capsys):
+    rejected = tmp_path / "s4.h5"
+    shutil.copy(path, rejected)
+    with h5py.File(rejected, "r+") as file:
+        rows = file["emissions"][()]
+        rows["accepted"][3] = 0
+        file["emissions"][...] = rows
+    assert run("rig-calibrate", command, [str(rejected), "--inspect-tdoa", "3"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "does not count: not good at capture" in said
+    assert run("rig-session", cli, ["info", "--emissions", str(rejected)]) == 0
+    lines = [line.split(maxsplit=6) for line in capsys.readouterr().out.splitlines()]
+    numbered = {line[0]: line for line in lines if line and line[0].isdigit()}
+    assert "not good at capture" in " ".join(numbered["3"])
+    assert numbered["2"][-1].strip().endswith("yes")
+
+
 def test_ripples_of_a_peak_are_no_candidates():
     lag_ms = np.linspace(-2, 2, 401)
     paths = [np.exp(-(((lag_ms - place) / 0.05) ** 2)) for place in (-1.0, 0.5)]
@@ -137,7 +157,7 @@ def test_ripples_of_a_peak_are_no_candidates():
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(["99"], "emission 99 is none of the accepted ones"), (["1", "-o", "a.txt"], "a .png or an .svg")],
+    [(["99"], "there is no emission 99, they go from 0 to "), (["1", "-o", "a.txt"], "a .png or an .svg")],
 )
 def test_what_cannot_be_looked_at_is_said(path, capsys, arguments, words):
     assert run("rig-calibrate", command, [str(path), "--inspect-tdoa", *arguments]) == 2

@@ -22,7 +22,7 @@ from calib.report.page import report as report_page
 from calib.report.plots import COLOURS
 from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose
 from calib.report.verdict import judge
-from calib.report.words import command_line, short, weak_directions
+from calib.report.words import command_line, settings_table, short, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs.command import run
@@ -259,6 +259,27 @@ def test_weak_directions_are_named(calibrated):
     assert sentences[1] == "Channel 5: 3 mm in depth (z); 0.1 mm where it is known best."
 
 
+OTHER_SETTINGS = {
+    "method": "ours-2",
+    "seed": 1,
+    "reference_channel": 2,
+    "excluded_channels": (3,),
+    "tdoa": "matched",
+    "hold": ("speed",),
+    "find_delays": True,
+    "suggest_poses": 4,
+    "ignore_sync": True,
+    "exact": ("scale",),
+}
+
+
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Settings)])
+def test_every_setting_is_told_and_part_of_the_command(name):
+    changed = dataclasses.replace(Settings(), **{name: OTHER_SETTINGS[name]})
+    assert command_line(["s.h5"], "s.yaml", changed) != command_line(["s.h5"], "s.yaml", Settings())
+    assert name == "suggest_poses" or settings_table(changed) != settings_table(Settings())
+
+
 @pytest.mark.parametrize(
     ("value", "words"), [(121.4, "120"), (0.04262, "0.043"), (3.0, "3"), (12345.0, "12000"), (0.0, "0")]
 )
@@ -370,3 +391,10 @@ def test_several_sessions_have_one_report(tmp_path, simulated_description):
     exported = json.loads((tmp_path / "a+b.microphones.json").read_text())
     assert exported["session"]["name"] == "a + b"
     assert run_calibrate(tmp_path / "a+b.calib.yaml", "--export", "json", "--overwrite") == 0
+
+
+def test_each_of_many_sessions_has_no_exports(tmp_path, simulated_description, capsys):
+    session = write_measured_session(tmp_path / "s1.h5", simulated_description)
+    assert run_calibrate(session, "--each", "--export", "csv") == 2
+    assert "leave --plots and --export" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [session]

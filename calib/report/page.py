@@ -228,7 +228,7 @@ def _truth(result: Calibration) -> list[tuple[str, str]]:
 
 def _fit(result: Calibration) -> list[tuple[str, str]]:
     intrinsics, residual = result.view.intrinsics, result.residual
-    held = "held, known to" if result.method != "joint" else "found,"
+    held = "held, known to" if result.method != "joint" or "speed" in result.held else "found,"
     return [
         ("TDOAs", f"{residual.n_used} used, {residual.n_rejected} rejected; {short(1e6 * residual.rms_s, 3)} µs rms"),
         ("speed of sound", f"{result.speed_of_sound_m_s:.2f} m/s, {held} ± {result.speed_of_sound_std_m_s:.2f} m/s"),

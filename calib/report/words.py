@@ -84,6 +84,7 @@ def command_line(sessions: list[str], result_name: str, settings: Settings) -> s
     words += ["--reference", str(settings.reference_channel)] if settings.reference_channel is not None else []
     words += [word for channel in settings.excluded_channels for word in ("--exclude-channel", str(channel))]
     words += [word for block in settings.hold for word in ("--hold", block)]
+    words += [word for block in settings.exact for word in ("--exact", block)]
     words += ["--find-delays"] if settings.find_delays else []
     words += ["--ignore-sync"] if settings.ignore_sync else []
     words += ["--suggest-poses", str(settings.suggest_poses)] if settings.suggest_poses else []
@@ -99,6 +100,7 @@ def settings_table(settings: Settings) -> list[tuple[str, str]]:
         ("reference channel", "none" if settings.reference_channel is None else str(settings.reference_channel)),
         ("channels left out", ", ".join(map(str, settings.excluded_channels)) or "none"),
         ("held", ", ".join(settings.hold) or "nothing"),
+        ("held as exact", ", ".join(settings.exact) or "nothing"),
         ("sync output, where recorded", "left out" if settings.ignore_sync else "used"),
         ("delays of channels", "found" if settings.find_delays else "held at 0"),
     ]

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from rigs.errors import DamagedSessionError
+from rigs.session.emission_list import print_emissions
 from rigs.session.layout import CLOCK_SESSION, FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
 
@@ -17,8 +18,17 @@ _MAX_PROBLEMS = 10
 _BAD_FILE = 5
 
 
-def show(path: Path, *, verify: bool, console: Console | None = None) -> int:
-    """Print what a session file holds, and return the exit code: 0, or 5 where `verify` finds damage.
+def show(path: Path, *, verify: bool, emissions: bool = False, console: Console | None = None) -> int:
+    """Print what a session file holds; the exit code is 0, or 5 where `verify` finds damage.
+
+    Parameters
+    ----------
+    path : Path
+    verify : bool
+        Read everything and compare the checksums.
+    emissions : bool
+        List them one by one.
+    console : Console, optional
 
     Raises
     ------
@@ -29,6 +39,8 @@ def show(path: Path, *, verify: bool, console: Console | None = None) -> int:
     with Session.open(path) as session:
         for label, text in summary(session):
             _print(console, label, text)
+        if emissions:
+            print_emissions(session, console)
         problems = session.verify() if verify else session.remarks
     for problem in problems[:_MAX_PROBLEMS]:
         _print(console, "problem", problem, "yellow")

@@ -30,7 +30,8 @@ def main() -> None:
     description = find_description(options.rig).description
     seed = description.simulation.seed if options.seed is None else options.seed
     _stand_for_hardware()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for ending in (signal.SIGTERM, signal.SIGHUP):  # the terminal may be closed
+        signal.signal(ending, signal.default_int_handler)
     parent = os.getppid()
     fault = None
     with suppress(KeyboardInterrupt), virtual_bench(description, folder, seed=seed, port=options.port) as bench:
