@@ -21,13 +21,14 @@ from verified_rig import calibrated_rig, checked, met_again, one_moved
 from calib.corners import find_pose_corners
 from calib.emissions import measure_tdoas
 from calib.measurements import Measurements
+from calib.result import SOFTWARE, Recording
+from calib.result_file import StoredCalibration
 from calib.settings import Method, Settings
 from calib.verification.comparison import Comparison
 from calib.verification.heldout import calibrate_without
 from calib.verification.location import Located, Speed
 from calib.verification.movement import WHOLE_ARRAY
 from calib.verification.pipeline import calibrated_view, locate_emissions
-from calib.verification.stored import ArrayCalibration
 from rigs.description import Intrinsics
 from rigs.session.aislab import import_aislab
 from rigs.session.reader import Session
@@ -106,8 +107,9 @@ def split_errors(layout: Literal["A", "B"], settings: Settings, number: int) -> 
     channels = description.audio.channels
     order = np.random.default_rng(number).permutation(corners.pose)
     left_out = np.sort(order[: len(order) // 3])
-    blank = ArrayCalibration(settings.method, channels, np.zeros((8, 3)), np.eye(24), 340.0, 1.0,
-                             Intrinsics(focal_px=(1, 1), principal_px=(0, 0)), {"": "aislab"})  # fmt: skip
+    blank = StoredCalibration("blank", {"": "aislab"}, settings.method, SOFTWARE, channels, np.zeros((8, 3)),
+                              np.eye(24), 340.0, 1.0, Intrinsics(focal_px=(1, 1), principal_px=(0, 0)),
+                              Recording.by(description))  # fmt: skip
     calibration = calibrate_without(Measurements(description, corners, tdoas, settings), left_out, blank)
     corners = corners.only(np.isin(corners.pose, left_out))
     view = calibrated_view(calibration, description, corners)

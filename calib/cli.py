@@ -190,8 +190,8 @@ def _export(
     files: tuple[Path, ...], output: Path | None, overwrite: bool, formats: tuple[str, ...], console: Console
 ) -> None:
     from calib.errors import MethodError
-    from calib.export.stored import read_array
     from calib.publication import Publication
+    from calib.result_file import read_result
 
     result = files[0]
     if len(files) > 1:
@@ -200,7 +200,7 @@ def _export(
         raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
     publication = Publication(output or result, overwrite, report=False, formats=formats)
     publication.check()
-    for line in publication.export_only(read_array(result)):
+    for line in publication.export_only(read_result(result)):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
 
 

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from calib.errors import MethodError
 from calib.joint.unknowns import cross_matrices
-from calib.result_file import ArrayResult
+from calib.result_file import StoredCalibration
 from rigs.geometry import Pose, rigid_alignment, rotation_matrix
 
 FloatArray = NDArray[np.float64]
@@ -108,7 +108,7 @@ class Comparison:
 
     Parameters
     ----------
-    first, second : ArrayResult
+    first, second : StoredCalibration
         Of the channels that both have.
     unmoved, rigid : Fit
         If nothing moved; if the array moved as a whole, but for the microphones that `best` has moved by themselves.
@@ -116,8 +116,8 @@ class Comparison:
         With all that is needed to explain the difference; `unmoved` where they agree.
     """
 
-    first: ArrayResult
-    second: ArrayResult
+    first: StoredCalibration
+    second: StoredCalibration
     unmoved: Fit
     rigid: Fit
     best: Fit
@@ -135,7 +135,7 @@ class Comparison:
     @property
     def share_sessions(self) -> bool:
         """Whether both rest on the same measurements, in part."""
-        return bool(self.first.sessions & self.second.sessions)
+        return not self.first.sessions.keys().isdisjoint(self.second.sessions)
 
     def microphone_chi_squares(self, fit: Fit) -> list[ChiSquare]:
         """Return that of each microphone's shift alone."""
@@ -146,7 +146,7 @@ class Comparison:
         return out
 
 
-def compare(first: ArrayResult, second: ArrayResult) -> Comparison:
+def compare(first: StoredCalibration, second: StoredCalibration) -> Comparison:
     """Compare two results by the channels that both have.
 
     Raises
@@ -166,7 +166,9 @@ def compare(first: ArrayResult, second: ArrayResult) -> Comparison:
     return Comparison(first, second, unmoved, fit(first, second, rigid=True, moved=best.moved), best)
 
 
-def fit(first: ArrayResult, second: ArrayResult, *, rigid: bool = False, moved: tuple[int, ...] = ()) -> Fit:
+def fit(
+    first: StoredCalibration, second: StoredCalibration, *, rigid: bool = False, moved: tuple[int, ...] = ()
+) -> Fit:
     """Explain the second result by the first one, moved as a whole or not, and some microphones moved by themselves."""
     still = np.setdiff1d(np.arange(len(first.channels)), moved)
     motion, motion_covariance = _rigid_motion(first, second, still) if rigid else (None, None)
@@ -177,7 +179,9 @@ def fit(first: ArrayResult, second: ArrayResult, *, rigid: bool = False, moved: 
     return Fit(motion, motion_covariance, moved, shifts_m, covariance, ChiSquare(value, n_free))
 
 
-def _rigid_motion(first: ArrayResult, second: ArrayResult, still: NDArray[np.intp]) -> tuple[Pose, FloatArray]:
+def _rigid_motion(
+    first: StoredCalibration, second: StoredCalibration, still: NDArray[np.intp]
+) -> tuple[Pose, FloatArray]:
     """Return the most likely motion of the array about its centre, and its covariance, by Gauss-Newton."""
     centre_m, places = first.positions_m.mean(axis=0), _places(still)
     motion = rigid_alignment(first.positions_m[still] - centre_m, second.positions_m[still] - centre_m)
@@ -200,17 +204,17 @@ def _places(rows: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.asarray((3 * rows[:, None] + np.arange(3)).ravel())
 
 
-def _shifts(first: ArrayResult, second: ArrayResult, motion: Pose | None) -> tuple[FloatArray, FloatArray]:
+def _shifts(first: StoredCalibration, second: StoredCalibration, motion: Pose | None) -> tuple[FloatArray, FloatArray]:
     """Return the shifts (n_mics, 3) from the first result, moved, to the second, and their covariance."""
     if motion is None:
-        return second.positions_m - first.positions_m, first.covariance_m2 + second.covariance_m2
+        return second.positions_m - first.positions_m, first.array_covariance_m2 + second.array_covariance_m2
     centre_m = first.positions_m.mean(axis=0)
     shifts_m = second.positions_m - centre_m - motion.apply(first.positions_m - centre_m)
     turn = np.kron(np.eye(len(shifts_m)), motion.rotation)
-    return shifts_m, second.covariance_m2 + turn @ first.covariance_m2 @ turn.T
+    return shifts_m, second.array_covariance_m2 + turn @ first.array_covariance_m2 @ turn.T
 
 
-def _explained(first: ArrayResult, second: ArrayResult, unmoved: Fit) -> Fit:
+def _explained(first: StoredCalibration, second: StoredCalibration, unmoved: Fit) -> Fit:
     """Add explanations as long as one is better than chance would be."""
     n_mics = len(first.channels)
     now = unmoved

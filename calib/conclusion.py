@@ -33,7 +33,7 @@ def conclude(parts: list[Measured], channels: tuple[int, ...], answer: Answer, s
         speed_of_sound_m_s=answer.speed_of_sound_m_s,
         speed_of_sound_std_m_s=answer.speed_of_sound_std_m_s,
         view=answer.view,
-        recording=_recording(parts[0].description),
+        recording=Recording.by(parts[0].description),
         residual=answer.residual,
         evaluation=_evaluation(parts[0], channels, answer),
         held_out=answer.held_out,
@@ -45,11 +45,6 @@ def conclude(parts: list[Measured], channels: tuple[int, ...], answer: Answer, s
         sound=parts[0].sound if len(parts) == 1 else None,
         warnings=_doubts(parts, channels, answer),
     )
-
-
-def _recording(description: RigDescription) -> Recording:
-    audio = description.audio
-    return Recording(float(audio.sample_rate_hz), audio.recorded_channels(), description.camera.size_px)
 
 
 def _doubts(parts: list[Measured], channels: tuple[int, ...], answer: Answer) -> list[str]:

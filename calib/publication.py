@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.export.array import CalibratedArray
 from calib.export.formats import endings, export
-from calib.export.stored import array_of
 from calib.outputs import beside, check_outputs, write_outputs
 from calib.report.names import LABELS, REPORT
 from calib.result import Calibration
+from calib.result_file import StoredCalibration, as_stored
 from calib.settings import Settings
 from rigs.session.reader import Session
 
@@ -59,7 +58,7 @@ class Publication:
         from calib.report.plots import as_file, plots  # noqa: PLC0415
         from calib.report.verdict import judge  # noqa: PLC0415
 
-        contents = export(array_of(result), self.formats) if self.formats else {}
+        contents = export(as_stored(result), self.formats) if self.formats else {}
         said = [f"Exported: {beside(self.target, ending)}" for ending in contents]
         if self.plots is not None:
             drawn = {
@@ -75,7 +74,7 @@ class Publication:
         self._write(contents)
         return said
 
-    def export_only(self, array: CalibratedArray) -> list[str]:
+    def export_only(self, array: StoredCalibration) -> list[str]:
         """Write the exports of a result that is there already, and return the lines that say so.
 
         Raises

@@ -20,12 +20,14 @@ from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import KINDS, Rejection
 from rigs import __version__
+from rigs.description import RigDescription
 from rigs.errors import TargetError, TargetExistsError, reason
 from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
 from rigs.target import check_target
 
 FloatArray = NDArray[np.float64]
 
+SOFTWARE = f"acoustic-camera-rig {__version__}"
 FORMAT = "acoustic-rig-calibration"
 VERSION = 1
 
@@ -75,6 +77,12 @@ class Recording:
     sample_rate_hz: float
     channels: tuple[int, ...]
     picture_size_px: tuple[int, int]
+
+    @classmethod
+    def by(cls, description: RigDescription) -> Recording:
+        """Return how a rig records."""
+        audio = description.audio
+        return cls(float(audio.sample_rate_hz), audio.recorded_channels(), description.camera.size_px)
 
 
 @dataclass(frozen=True)
@@ -177,7 +185,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
         "tdoa_sign": TDOA_SIGN,
         "method": result.method,
         "held": list(result.held),
-        "software": f"acoustic-camera-rig {__version__}",
+        "software": SOFTWARE,
         "speed_of_sound_m_s": _rounded(result.speed_of_sound_m_s, 4),
         "speed_of_sound_std_m_s": _rounded(result.speed_of_sound_std_m_s, 4),
         "microphones": [
@@ -185,7 +193,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
                 "channel": int(channel),
                 "position_m": _rounded(position, 7),
                 "std_m": _rounded(std, 7),
-                "covariance_m2": [[float(f"{value:.6g}") for value in row] for row in covariance],
+                "covariance_m2": _significant(covariance),
             }
             for channel, position, std, covariance in zip(
                 result.channels, result.positions_m, result.std_m, result.covariance_m2, strict=True
@@ -234,7 +242,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
         }
     if result.evaluation is not None:
         document["evaluation"] = asdict(result.evaluation)
-    document["array_covariance_m2"] = [[float(f"{value:.9g}") for value in row] for row in result.array_covariance_m2]
+    document["array_covariance_m2"] = _significant(result.array_covariance_m2)
     return document
 
 
@@ -292,3 +300,8 @@ def _rounded(values: Any, digits: int) -> Any:
     if np.ndim(values) == 0:
         return round(float(values), digits)
     return [round(float(value), digits) for value in values]
+
+
+def _significant(matrix: FloatArray) -> list[list[float]]:
+    """Return a covariance to nine digits, the same for one microphone and for all."""
+    return [[float(f"{value:.9g}") for value in row] for row in matrix]

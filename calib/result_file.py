@@ -1,99 +1,269 @@
-"""A result read back from its YAML file."""
+"""A calibration as its YAML file has it: read back, and checked, since a hand may have edited it.
+
+All that reads results reads them here (`rig-calibrate --compare` and `--export`, `rig-verify`), so all refuse the same.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.errors import ResultFileError
-from calib.result import FORMAT, VERSION
+from calib.joint.uncertainty import microphone_covariances
+from calib.result import FORMAT, VERSION, Calibration, Recording, as_document
+from calib.settings import Method
+from rigs.description import Channel, Intrinsics
+from rigs.errors import DescriptionError, reason
+from rigs.library import load_yaml
+from rigs.remedies import remedies
 
 FloatArray = NDArray[np.float64]
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+MAX_BYTES = 10_000_000
+MAX_MICROPHONES = 64
+ROUNDING = 1e-4  # of the largest entry: how far apart two entries may be that should be alike
+_AGAIN = "calibrate the session again"
 
 
 @dataclass(frozen=True)
-class ArrayResult:
-    """What a result says of the array.
+class StoredCalibration:
+    """Microphones in the camera frame, and what is needed to use them.
 
     Parameters
     ----------
     name : str
-        Of the file.
+        Of the file, for messages.
+    sessions : dict of str to str
+        What it was made from: SHA-256 of each session, and its name.
+    method : {"joint", "ours-1", "ours-2", "ours-3"}
+    software : str
+        What made it.
     channels : tuple of int
+        Input channel of each microphone.
     positions_m : (n_mics, 3) array
-        Camera frame.
-    covariance_m2 : (3 n_mics, 3 n_mics) array
+    array_covariance_m2 : (3 n_mics, 3 n_mics) array
         Of all positions together, microphone by microphone.
-    sessions : frozenset of str
-        SHA-256 of the sessions that it rests on.
+    speed_of_sound_m_s, speed_of_sound_std_m_s : float
+        Of the air at the time.
+    intrinsics : Intrinsics
+    recording : Recording
     """
 
     name: str
+    sessions: dict[str, str]
+    method: Method
+    software: str
     channels: tuple[int, ...]
     positions_m: FloatArray
-    covariance_m2: FloatArray
-    sessions: frozenset[str]
+    array_covariance_m2: FloatArray
+    speed_of_sound_m_s: float
+    speed_of_sound_std_m_s: float
+    intrinsics: Intrinsics
+    recording: Recording
 
-    def only(self, channels: tuple[int, ...]) -> ArrayResult:
-        """Return the result of some channels, in their order."""
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance (n_mics, 3, 3) of each microphone."""
+        return microphone_covariances(self.array_covariance_m2, len(self.channels))
+
+    @property
+    def std_m(self) -> FloatArray:
+        """Standard deviations (n_mics, 3) of the positions."""
+        return np.asarray(np.sqrt(np.diag(self.array_covariance_m2)).reshape(-1, 3))
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Column of each microphone in the session's `time_data`, from 0."""
+        return tuple(self.recording.channels.index(channel) for channel in self.channels)
+
+    @property
+    def names(self) -> list[str]:
+        """A name for each microphone."""
+        return [f"microphone_{channel}" for channel in self.channels]
+
+    @property
+    def session_names(self) -> str:
+        """Names of all sessions, in one line."""
+        return " + ".join(self.sessions.values())
+
+    def only(self, channels: tuple[int, ...]) -> StoredCalibration:
+        """Return the calibration of some channels, in their order."""
         rows = np.array([self.channels.index(channel) for channel in channels], dtype=np.intp)
         places = (3 * rows[:, None] + np.arange(3)).ravel()
-        return ArrayResult(
-            self.name, channels, self.positions_m[rows], self.covariance_m2[np.ix_(places, places)], self.sessions
+        return replace(
+            self,
+            channels=channels,
+            positions_m=self.positions_m[rows],
+            array_covariance_m2=self.array_covariance_m2[np.ix_(places, places)],
         )
 
 
-def read_result(path: Path) -> ArrayResult:
-    """Read a result's file.
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+Coordinate = Annotated[float, Field(ge=-100, le=100)]
+Row = tuple[float, float, float]
+
+
+class _Microphone(_Part):
+    channel: Channel
+    position_m: tuple[Coordinate, Coordinate, Coordinate]
+    covariance_m2: tuple[Row, Row, Row]
+
+
+class _Camera(Intrinsics):
+    model_config = ConfigDict(extra="ignore")
+
+    distortion: tuple[float, float, float, float, float]  # a result has it; nothing stands in for it
+
+
+class _Session(_Part):
+    name: str
+    sha256: str
+
+
+class _Recording(_Part):
+    sample_rate_hz: float = Field(gt=0)
+    channels: tuple[Channel, ...] = Field(min_length=1)
+    picture_size_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+
+
+class _Document(_Part):
+    """The keys that are read; a result has more, for people."""
+
+    method: Method
+    software: str
+    speed_of_sound_m_s: float = Field(ge=250, le=450)
+    speed_of_sound_std_m_s: float = Field(ge=0)
+    microphones: tuple[_Microphone, ...] = Field(min_length=1, max_length=MAX_MICROPHONES)
+    camera: _Camera
+    session: _Session | None = None
+    sessions: tuple[_Session, ...] = ()
+    recording: _Recording
+    array_covariance_m2: tuple[tuple[float, ...], ...]
+
+
+def read_result(path: Path) -> StoredCalibration:
+    """Read a result of `rig-calibrate`.
 
     Raises
     ------
     ResultFileError
-        Missing, no result, or of a version without the covariance of the whole array.
+        Missing, no result, of another version, or edited into something impossible: one line with file, key and
+        remedy.
     """
-    document = _document(path)
     try:
-        microphones = document["microphones"]
-        channels = tuple(int(microphone["channel"]) for microphone in microphones)
-        positions_m = np.array([microphone["position_m"] for microphone in microphones], dtype=float)
-        covariance_m2 = np.array(document["array_covariance_m2"], dtype=float)
-        sessions = document["sessions"] if "sessions" in document else [document["session"]]
-        read = ArrayResult(
-            path.name, channels, positions_m, covariance_m2, frozenset(str(each["sha256"]) for each in sessions)
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ResultFileError(
-            f"{path}: lacks {error if isinstance(error, KeyError) else 'a part, or has a bad one'}: an earlier version "
-            "made it, or a hand changed it; calibrate its session again"
-        ) from error
-    _check(read, path)
-    return read
+        content = load_yaml(_text(path), str(path))
+        _check_kind(content, path)
+        document = _Document.model_validate(content)
+    except DescriptionError as error:
+        raise ResultFileError(f"{error}; or {_AGAIN}") from error
+    except ValidationError as error:
+        raise ResultFileError(f"{path}: {remedies(error, _Document)[0]}, or {_AGAIN}") from error
+    for fault in (_session_fault(document), _channel_fault(document), _covariance_fault(document)):
+        if fault:
+            raise ResultFileError(f"{path}: {fault}, or {_AGAIN}")
+    return _stored(document, path.name)
 
 
-def _document(path: Path) -> dict[str, Any]:
+def as_stored(result: Calibration) -> StoredCalibration:
+    """Return a result rounded as its file has it, so that exports of both are the same."""
+    return _stored(_Document.model_validate(as_document(result)), result.session_name)
+
+
+def _stored(document: _Document, name: str) -> StoredCalibration:
+    sessions = (document.session,) if document.session else document.sessions
+    return StoredCalibration(
+        name,
+        {session.sha256: session.name for session in sessions},
+        document.method,
+        document.software,
+        tuple(microphone.channel for microphone in document.microphones),
+        np.array([microphone.position_m for microphone in document.microphones]),
+        np.array(document.array_covariance_m2),
+        document.speed_of_sound_m_s,
+        document.speed_of_sound_std_m_s,
+        Intrinsics(**document.camera.model_dump()),
+        Recording(**document.recording.model_dump()),
+    )
+
+
+def _text(path: Path) -> str:
     try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER)  # noqa: S506 - a safe loader
+        with path.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise ResultFileError(f"{path}: larger than 10 MB, so not a result: name a SESSION.calib.yaml")
+        return content.decode("utf-8-sig")
     except OSError as error:
-        raise ResultFileError(f"{path}: cannot be read ({error.strerror}): name a result of rig-calibrate") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ResultFileError(f"{path}: no result, or a damaged one: name a result of rig-calibrate") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ResultFileError(f"{path}: no result: name a file that rig-calibrate wrote (SESSION.calib.yaml)")
-    if document.get("version") != VERSION:
-        raise ResultFileError(f"{path}: of version {document.get('version')}, this software reads {VERSION}")
-    return document
+        raise ResultFileError(f"{path}: cannot be read ({reason(error)}): name a result of rig-calibrate") from error
+    except UnicodeDecodeError as error:
+        raise ResultFileError(f"{path}: not UTF-8 text, so not a result: name a SESSION.calib.yaml") from error
 
 
-def _check(read: ArrayResult, path: Path) -> None:
-    n_mics = len(read.channels)
-    whole = read.positions_m.shape == (n_mics, 3) and read.covariance_m2.shape == (3 * n_mics, 3 * n_mics)
-    whole = whole and bool(np.isfinite(read.positions_m).all() and np.isfinite(read.covariance_m2).all())
-    if not whole or len(set(read.channels)) < n_mics or (np.diag(read.covariance_m2) <= 0).any():
-        raise ResultFileError(f"{path}: its numbers contradict one another: calibrate its session again")
+def _check_kind(content: Any, path: Path) -> None:
+    """Refuse what is no result that this version can read.
+
+    Raises
+    ------
+    ResultFileError
+    """
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ResultFileError(f"{path}: not a result of rig-calibrate: name a SESSION.calib.yaml")
+    if content.get("version") != VERSION:
+        raise ResultFileError(
+            f"{path}: of version {content.get('version')!r}, this software reads {VERSION}: use the software that made "
+            f"it, or {_AGAIN}"
+        )
+    for key in ("array_covariance_m2", "recording"):
+        if key not in content:
+            raise ResultFileError(f"{path}: has no {key}: an earlier version made it, or a hand changed it: {_AGAIN}")
+
+
+# Each returns what is wrong and where, which no single key shows; empty where nothing is.
+
+
+def _session_fault(document: _Document) -> str:
+    return "" if document.session or document.sessions else "session: missing: put back what it was made from"
+
+
+def _channel_fault(document: _Document) -> str:
+    seen: set[int] = set()
+    for number, microphone in enumerate(document.microphones):
+        if microphone.channel in seen:
+            return f"microphones[{number}].channel: {microphone.channel} is listed twice: give each its own"
+        if microphone.channel not in document.recording.channels:
+            return f"microphones[{number}].channel: {microphone.channel} is none of recording.channels: put it right"
+        seen.add(microphone.channel)
+    return ""
+
+
+def _covariance_fault(document: _Document) -> str:
+    n_mics, rows = len(document.microphones), document.array_covariance_m2
+    size = 3 * n_mics
+    if [len(row) for row in rows] != [size] * size:
+        return f"array_covariance_m2: not the {size} x {size} numbers that {n_mics} microphones need: put it right"
+    whole = np.array(rows)
+    own = np.array([microphone.covariance_m2 for microphone in document.microphones])
+    for number, (mine, block) in enumerate(zip(own, microphone_covariances(whole, n_mics), strict=True)):
+        where = f"microphones[{number}].covariance_m2"
+        if not _is_covariance(mine):
+            return f"{where}: not symmetric with positive variances, so no covariance: put it right"
+        if np.abs(mine - block).max() > ROUNDING * mine.max():
+            return f"{where} and array_covariance_m2 contradict each other: put them right"
+    if not _is_covariance(whole):
+        return "array_covariance_m2: not symmetric with no negative eigenvalue, so no covariance: put it right"
+    return ""
+
+
+def _is_covariance(matrix: FloatArray) -> bool:
+    variances = np.diag(matrix)
+    slack = ROUNDING * variances.max()
+    is_symmetric = bool(np.abs(matrix - matrix.T).max() <= slack)
+    return bool((variances > 0).all()) and is_symmetric and bool(np.linalg.eigvalsh(matrix)[0] >= -slack)

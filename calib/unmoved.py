@@ -9,7 +9,8 @@ from calib.comparison import compare
 from calib.comparison_screen import verdict
 from calib.errors import CalibrationError, NotEnoughDataError
 from calib.joint.session import answer_jointly
-from calib.result_file import ArrayResult
+from calib.result import SOFTWARE, Recording
+from calib.result_file import StoredCalibration
 from calib.settings import Settings
 from calib.together import Measured
 
@@ -34,7 +35,7 @@ def check_unmoved(sessions: list[Measured], channels: tuple[int, ...], settings:
             )
 
 
-def _alone(session: Measured, channels: tuple[int, ...], settings: Settings) -> ArrayResult | None:
+def _alone(session: Measured, channels: tuple[int, ...], settings: Settings) -> StoredCalibration | None:
     """Solve one session; None where it is too short for that."""
     view = look(session.description.camera, session.description.board, session.corners)
     brief = replace(settings, suggest_poses=0)
@@ -44,6 +45,16 @@ def _alone(session: Measured, channels: tuple[int, ...], settings: Settings) -> 
         )
     except CalibrationError:
         return None
-    return ArrayResult(
-        session.name, channels, answer.microphones_m, answer.array_covariance_m2, frozenset([session.sha256])
+    return StoredCalibration(
+        session.name,
+        {session.sha256: session.name},
+        settings.method,
+        SOFTWARE,
+        channels,
+        answer.microphones_m,
+        answer.array_covariance_m2,
+        answer.speed_of_sound_m_s,
+        answer.speed_of_sound_std_m_s,
+        answer.view.intrinsics,
+        Recording.by(session.description),
     )

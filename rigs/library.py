@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -17,9 +18,15 @@ from rigs.description import RigDescription
 from rigs.errors import DescriptionError
 from rigs.remedies import remedies
 
+try:
+    from yaml import CSafeLoader
+except ImportError:  # PyYAML was built without libyaml: slower
+    from yaml import SafeLoader as CSafeLoader  # type: ignore[assignment]
+
 MAX_BYTES = 1_000_000
 DEFAULT_RIG = "simulated"
 _MAX_LINES = 8
+_MAX_DEPTH = 100
 Document = TypeVar("Document", bound=BaseModel)
 
 
@@ -177,14 +184,8 @@ def _yaml_remedy(error: yaml.MarkedYAMLError) -> str:
     return f"{problem}: check here and on the lines above that each key is followed by ': ' and lines up with its group"
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """PyYAML's safe loader without its two silent traps: keys given twice, and aliases that multiply."""
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem="aliases (*name) are not known here: write the value", problem_mark=mark)
-        return super().compose_node(parent, index)
+class _NoKeyTwice:
+    """A constructor without PyYAML's silent trap: of a key that is given twice it takes the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -193,7 +194,38 @@ class _StrictLoader(yaml.SafeLoader):
                 problem = f"key {key.value!r} is given twice: keep one"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
             seen.add(str(key.value))
-        return super().construct_mapping(node, deep)
+        return super().construct_mapping(node, deep)  # type: ignore[misc,no-any-return]
+
+
+class _StrictLoader(_NoKeyTwice, yaml.SafeLoader):
+    """PyYAML's safe loader without its two silent traps: keys given twice, and aliases that multiply."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem="aliases (*name) are not known here: write the value", problem_mark=mark)
+        return super().compose_node(parent, index)
+
+
+class _FastLoader(_NoKeyTwice, CSafeLoader):
+    """The same by libyaml, for text that `_is_flat`; it knows less well what is wrong with a text."""
+
+
+def _is_flat(text: str) -> bool:
+    """Tell whether a text is YAML without aliases, and not nested so deeply that libyaml would run out of stack."""
+    depth = 0
+    for event in yaml.parse(text, Loader=CSafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MAX_DEPTH or isinstance(event, yaml.AliasEvent):
+            return False
+    return True
+
+
+def _parsed(text: str) -> Any:
+    with suppress(yaml.YAMLError, ValueError):  # said below, and better
+        if _is_flat(text):
+            return yaml.load(text, Loader=_FastLoader)  # noqa: S506 (a SafeLoader)
+    return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 (a SafeLoader)
 
 
 def load_yaml(text: str, where: str) -> Any:
@@ -211,11 +243,13 @@ def load_yaml(text: str, where: str) -> Any:
         Not such YAML; says where and what to do.
     """
     try:
-        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 (a SafeLoader)
+        return _parsed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
         raise DescriptionError(f"{place}: {_yaml_remedy(error)}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except RecursionError as error:
+        raise DescriptionError(f"{where}: not YAML: nested too deeply") from error
+    except (yaml.YAMLError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DescriptionError(f"{where}: not YAML: {reason}") from error

@@ -12,11 +12,15 @@ from conftest import MICROPHONES_M, write_measured_session
 from calib.cli import command
 from calib.comparison import FALSE_ALARM, compare
 from calib.comparison_screen import verdict
-from calib.result_file import ArrayResult, read_result
+from calib.result import SOFTWARE, Recording
+from calib.result_file import StoredCalibration, read_result
 from rigs.command import run
+from rigs.description import Intrinsics
 from rigs.geometry import Pose
 
 CHANNELS = tuple(range(1, 9))
+INTRINSICS = Intrinsics(focal_px=(940, 940), principal_px=(640, 360))
+RECORDING = Recording(48000.0, CHANNELS, (1280, 720))
 
 
 def drawn_covariance(generator: np.random.Generator, own_m: float = 0.0003, common_m: float = 0.001) -> np.ndarray:
@@ -26,10 +30,13 @@ def drawn_covariance(generator: np.random.Generator, own_m: float = 0.0003, comm
     return own_m**2 * (spread @ spread.T + 0.2 * np.eye(24)) + common_m**2 * common @ common.T
 
 
-def measured(generator: np.random.Generator, places_m: np.ndarray, name: str) -> ArrayResult:
+def measured(generator: np.random.Generator, places_m: np.ndarray, name: str) -> StoredCalibration:
     covariance_m2 = drawn_covariance(generator)
     errors_m = generator.multivariate_normal(np.zeros(24), covariance_m2).reshape(8, 3)
-    return ArrayResult(name, CHANNELS, places_m + errors_m, covariance_m2, frozenset([name]))
+    places_m = places_m + errors_m
+    return StoredCalibration(
+        name, {name: name}, "joint", SOFTWARE, CHANNELS, places_m, covariance_m2, 340.0, 1.0, INTRINSICS, RECORDING
+    )
 
 
 def compared(seed: int, places_m: np.ndarray = MICROPHONES_M):
@@ -135,7 +142,7 @@ def test_what_is_no_result_is_refused(results, tmp_path, capsys, damage):
         path = tmp_path / "s0.h5"
     assert run_compare(results[0], path) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"rig-calibrate: {path}: ")
+    assert error.startswith(f"rig-calibrate: {path}")
     assert len(error.splitlines()) == 1
 
 

@@ -143,7 +143,7 @@ def test_sounds_that_few_heard_are_not_located(rigs):
 def test_the_speed_of_sound_of_the_day_is_found(rigs):
     rig, calibration = rigs[0]
     again = met_again(rig, 0)
-    heard = Heard(calibration.positions_m, calibration.covariance_m2, again.arrival_s, again.std_s)
+    heard = Heard(calibration.positions_m, calibration.array_covariance_m2, again.arrival_s, again.std_s)
     located = locate(heard, Speed(343.2, 2.0))
     assert located.speed.m_s == pytest.approx(again.truth.speed_m_s, abs=0.6)
     assert len(CHANNELS) == heard.arrival_s.shape[1]

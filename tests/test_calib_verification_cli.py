@@ -136,22 +136,26 @@ def test_the_name_of_the_calibrated_session_is_told(tmp_path, simulated_descript
     assert "with another content" in " ".join(capsys.readouterr().out.split())
 
 
+def channel_2_is_12(document: dict) -> None:
+    document["microphones"][1]["channel"] = document["recording"]["channels"][1] = 12
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
         (lambda d: d.pop("array_covariance_m2"), "no array_covariance_m2"),
         (lambda d: d["array_covariance_m2"].pop(), "not the 24 x 24 numbers"),
         (lambda d: d["array_covariance_m2"][3].__setitem__(3, 1.0), "contradict each other"),
-        (lambda d: d["microphones"][1].pop("covariance_m2"), "microphones.1.covariance_m2: field required"),
-        (lambda d: d["microphones"][1].pop("position_m"), "microphones.1.position_m"),
-        (lambda d: d["microphones"][1].update(position_m=[0, 0, "far"]), "microphones.1.position_m.2"),
-        (lambda d: d["microphones"][1].update(position_m=[0, 0, math.nan]), "microphones.1.position_m.2"),
-        (lambda d: d["microphones"][1].update(channel=1), "a channel is listed twice"),
-        (lambda d: d["microphones"][1].update(channel=12), "a microphone on channel 12, the session's rig"),
+        (lambda d: d["microphones"][1].pop("covariance_m2"), "microphones[1].covariance_m2: missing"),
+        (lambda d: d["microphones"][1].pop("position_m"), "microphones[1].position_m"),
+        (lambda d: d["microphones"][1].update(position_m=[0, 0, "far"]), "microphones[1].position_m[2]"),
+        (lambda d: d["microphones"][1].update(position_m=[0, 0, math.nan]), "microphones[1].position_m[2]"),
+        (lambda d: d["microphones"][1].update(channel=1), "1 is listed twice"),
+        (channel_2_is_12, "a microphone on channel 12, the session's rig"),
         (lambda d: d["camera"].update(principal_px=[64.0, 36.0]), "another camera's calibration"),
         (lambda d: d["camera"].update(focal_px=[-1.0, 940.0]), "focal lengths must be greater than 0"),
-        (lambda d: d["array_covariance_m2"][3].__setitem__(9, 1.0), "not a covariance"),
-        (lambda d: d.pop("session"), "session: field required"),
+        (lambda d: d["array_covariance_m2"][3].__setitem__(9, 1.0), "so no covariance"),
+        (lambda d: d.pop("session"), "session: missing"),
         (lambda d: d.update(format="something else"), "not a result of rig-calibrate"),
         (lambda d: d.update(version=2), "of version 2"),
         (lambda d: d.update(microphones="none"), "microphones: "),

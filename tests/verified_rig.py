@@ -13,11 +13,12 @@ from calib.joint.corners import CornerTable
 from calib.joint.session import refined_view
 from calib.joint.uncertainty import shared_covariance
 from calib.joint.unknowns import Unknowns
+from calib.result import SOFTWARE, Recording
+from calib.result_file import StoredCalibration
 from calib.verification.comparison import Comparison
 from calib.verification.location import Located, Speed
 from calib.verification.movement import MovementCheck, check_movement
 from calib.verification.pipeline import calibrated_view, locate_emissions
-from calib.verification.stored import ArrayCalibration
 from rigs.board import board_corners_m
 
 MOVED_M = 0.003
@@ -37,20 +38,23 @@ class Checked:
         return sorted(motion.channel for motion in self.movement.motions if motion.farthest_m > 0.001)
 
 
-def calibrated(rig: Rig) -> ArrayCalibration:
+def calibrated(rig: Rig) -> StoredCalibration:
     """Calibrate a rig jointly."""
     solution = rig.solved()
     covariance = shared_covariance(solution.problem, solution.at, solution.weights())
     speed = solution.at.blocks.speed
-    return ArrayCalibration(
+    return StoredCalibration(
+        "first.calib.yaml",
+        {"0" * 64: "first"},
         "joint",
+        SOFTWARE,
         CHANNELS,
         solution.at.microphones_m,
         covariance[:24, :24],
         solution.at.speed_m_s,
         float(np.sqrt(covariance[speed, speed][0, 0])),
         refined_view(rig.view(), solution).intrinsics,
-        {"0" * 64: "first"},
+        Recording.by(rig.description),
     )
 
 
@@ -82,7 +86,7 @@ def one_moved(seed: int) -> tuple[int, np.ndarray]:
     return CHANNELS[row], shift_m * (np.arange(len(CHANNELS)) == row)[:, None]
 
 
-def checked(calibration: ArrayCalibration, rig: Rig) -> Checked:
+def checked(calibration: StoredCalibration, rig: Rig) -> Checked:
     """Verify a calibration on a rig met again."""
     view = calibrated_view(calibration, rig.description, rig.corners)
     medium = rig.description.medium
@@ -93,7 +97,7 @@ def checked(calibration: ArrayCalibration, rig: Rig) -> Checked:
     return Checked(located, comparison, movement)
 
 
-def calibrated_rig(seed: int) -> tuple[Rig, ArrayCalibration]:
+def calibrated_rig(seed: int) -> tuple[Rig, StoredCalibration]:
     """Return a rig and its calibration."""
     rig = make_rig(seed)
     return rig, calibrated(rig)

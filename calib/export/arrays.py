@@ -7,21 +7,22 @@ import io
 import numpy as np
 from scipy.io import savemat
 
-from calib.export.array import CalibratedArray
+from calib.export.heading import heading
+from calib.result_file import StoredCalibration
 from rigs.geometry import CAMERA_FRAME
 
 
-def positions_npy(array: CalibratedArray) -> bytes:
+def positions_npy(array: StoredCalibration) -> bytes:
     """Return the positions (3, n_mics)."""
     stream = io.BytesIO()
     np.save(stream, np.ascontiguousarray(array.positions_m.T))
     return stream.getvalue()
 
 
-def pyroomacoustics_loader(array: CalibratedArray) -> bytes:
+def pyroomacoustics_loader(array: StoredCalibration) -> bytes:
     """Return a few lines of Python that load the positions into a microphone array."""
-    heading = "".join(f"# {line}\n" for line in array.heading())
-    return f"""{heading}
+    comments = "".join(f"# {line}\n" for line in heading(array))
+    return f"""{comments}
 from pathlib import Path
 
 import numpy as np
@@ -33,11 +34,11 @@ array = pra.MicrophoneArray(positions_m, fs={round(array.recording.sample_rate_h
 """.encode()
 
 
-def matlab_mat(array: CalibratedArray) -> bytes:
+def matlab_mat(array: StoredCalibration) -> bytes:
     """Return a MATLAB file (version 5) of one struct, `array`."""
     stream = io.BytesIO()
     values = {
-        "heading": "\n".join(array.heading()),
+        "heading": "\n".join(heading(array)),
         "made_by": array.software,
         "frame": CAMERA_FRAME,
         "channels": np.array(array.channels, dtype=float),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from calib.errors import MethodError
-from calib.export.array import CalibratedArray
 from calib.export.arrays import matlab_mat, positions_npy, pyroomacoustics_loader
 from calib.export.listings import kalibr_yaml, microphones_csv, microphones_json, odas_cfg
 from calib.export.markup import acoular_xml, ros2_launch_xml, urdf
+from calib.result_file import StoredCalibration
 
-Write = Callable[[CalibratedArray], bytes]
+Write = Callable[[StoredCalibration], bytes]
 
 # For each name, the endings of its files and what makes them.
 FORMATS: dict[str, dict[str, Write]] = {
@@ -50,6 +50,6 @@ def endings(names: tuple[str, ...]) -> list[str]:
     return [ending for name in names for ending in FORMATS[name]]
 
 
-def export(array: CalibratedArray, names: tuple[str, ...]) -> dict[str, bytes]:
+def export(array: StoredCalibration, names: tuple[str, ...]) -> dict[str, bytes]:
     """Return the content of each export's files by their endings."""
     return {ending: write(array) for name in names for ending, write in FORMATS[name].items()}

@@ -8,13 +8,14 @@ import json
 
 import yaml
 
-from calib.export.array import CalibratedArray
+from calib.export.heading import heading
+from calib.result_file import StoredCalibration
 from rigs.geometry import CAMERA_FRAME
 
 AXES = "xyz"
 
 
-def odas_cfg(array: CalibratedArray) -> bytes:
+def odas_cfg(array: StoredCalibration) -> bytes:
     """Return the blocks `mapping` and `general` of a configuration of ODAS, with covariances and speed of sound."""
     microphones = ",\n".join(
         "        {\n"
@@ -26,8 +27,8 @@ def odas_cfg(array: CalibratedArray) -> bytes:
         for place_m, covariance in zip(array.positions_m, array.covariance_m2, strict=True)
     )
     variance = array.speed_of_sound_std_m_s**2
-    heading = "\n".join(f"# {line}" for line in array.heading())
-    return f"""{heading}
+    comments = "\n".join(f"# {line}" for line in heading(array))
+    return f"""{comments}
 # Put these two blocks in the place of your configuration's own. mapping counts the sound card's inputs from 1.
 
 mapping:
@@ -51,7 +52,7 @@ general:
 """.encode()
 
 
-def kalibr_yaml(array: CalibratedArray) -> bytes:
+def kalibr_yaml(array: StoredCalibration) -> bytes:
     """Return the camera as Kalibr's camchain has it.
 
     Kalibr's `radtan` has no k3. With one the model is called plumb_bob, as ROS does, which Kalibr refuses to misread.
@@ -65,16 +66,16 @@ def kalibr_yaml(array: CalibratedArray) -> bytes:
         "resolution": list(array.recording.picture_size_px),
         "rostopic": "/camera/image_raw",
     }
-    lines = [*array.heading(), "Camera: fx, fy, cx, cy in pixels; k1, k2, p1, p2 (and k3); width, height in pixels."]
-    heading = "".join(f"# {line}\n" for line in lines)
-    return (heading + yaml.safe_dump({"cam0": camera}, sort_keys=False, default_flow_style=None)).encode()
+    lines = [*heading(array), "Camera: fx, fy, cx, cy in pixels; k1, k2, p1, p2 (and k3); width, height in pixels."]
+    comments = "".join(f"# {line}\n" for line in lines)
+    return (comments + yaml.safe_dump({"cam0": camera}, sort_keys=False, default_flow_style=None)).encode()
 
 
-def microphones_csv(array: CalibratedArray) -> bytes:
+def microphones_csv(array: StoredCalibration) -> bytes:
     """Return a table, a row per microphone, below comments that begin with #."""
     upper = [(row, column) for row in range(3) for column in range(row, 3)]
     stream = io.StringIO()
-    stream.writelines(f"# {line}\n" for line in array.heading())
+    stream.writelines(f"# {line}\n" for line in heading(array))
     table = csv.writer(stream, lineterminator="\n")
     covariances = [f"cov_{AXES[row]}{AXES[column]}_m2" for row, column in upper]
     table.writerow(
@@ -86,12 +87,12 @@ def microphones_csv(array: CalibratedArray) -> bytes:
     return stream.getvalue().encode()
 
 
-def microphones_json(array: CalibratedArray) -> bytes:
+def microphones_json(array: StoredCalibration) -> bytes:
     """Return everything under names that say their units."""
     document = {
         "made_by": array.software,
         "method": array.method,
-        "session": {"name": array.session_name, "sha256": array.session_sha256},
+        "session": {"name": array.session_names, "sha256": " + ".join(array.sessions)},
         "frame": CAMERA_FRAME,
         "speed_of_sound_m_s": array.speed_of_sound_m_s,
         "speed_of_sound_std_m_s": array.speed_of_sound_std_m_s,

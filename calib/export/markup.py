@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from calib.export.array import CalibratedArray, printable
+from calib.export.heading import heading, printable
+from calib.result_file import StoredCalibration
 
 OPTICAL_FRAME = "camera_optical_frame"  # REP 103's name of our camera frame
 
 
-def acoular_xml(array: CalibratedArray) -> bytes:
+def acoular_xml(array: StoredCalibration) -> bytes:
     """Return the geometry as `acoular.MicGeom(file=...)` reads it."""
-    root = ElementTree.Element("MicArray", name=printable(array.session_name))
+    root = ElementTree.Element("MicArray", name=printable(array.session_names))
     for name, place_m in zip(array.names, array.positions_m, strict=True):
         x, y, z = (f"{value:.7f}" for value in place_m)
         ElementTree.SubElement(root, "pos", Name=name, x=x, y=y, z=z)
     return _document(array, root)
 
 
-def ros2_launch_xml(array: CalibratedArray) -> bytes:
+def ros2_launch_xml(array: StoredCalibration) -> bytes:
     """Return a launch file that publishes a static transform for each microphone."""
     root = ElementTree.Element("launch")
     ElementTree.SubElement(root, "arg", name="camera_frame", default=OPTICAL_FRAME)
@@ -37,7 +38,7 @@ def ros2_launch_xml(array: CalibratedArray) -> bytes:
     return _document(array, root)
 
 
-def urdf(array: CalibratedArray) -> bytes:
+def urdf(array: StoredCalibration) -> bytes:
     """Return a robot of one link per microphone, fixed to the camera."""
     root = ElementTree.Element("robot", name="microphone_array")
     ElementTree.SubElement(root, "link", name=OPTICAL_FRAME)
@@ -50,8 +51,8 @@ def urdf(array: CalibratedArray) -> bytes:
     return _document(array, root)
 
 
-def _document(array: CalibratedArray, root: ElementTree.Element) -> bytes:
+def _document(array: StoredCalibration, root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
-    comment = "\n".join(array.heading()).replace("--", "- -")  # a comment of XML cannot hold two hyphens
+    comment = "\n".join(heading(array)).replace("--", "- -")  # a comment of XML cannot hold two hyphens
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="utf-8"?>\n<!--\n{comment}\n-->\n{text}\n'.encode()

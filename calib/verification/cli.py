@@ -50,16 +50,17 @@ def command(
     from rich.console import Console  # heavy parts are imported only when there is work to do
     from rich.markup import escape
 
+    from calib.result_file import read_result
+    from calib.verification.fit import check_fit
     from calib.verification.folder import check_folder, write_folder
     from calib.verification.pipeline import verify
     from calib.verification.screen import show
-    from calib.verification.stored import check_fit, read_calibration
     from calib.verification.verdict import Limits
     from rigs.session.reader import Session
 
     console = Console(highlight=False)
     folder = output or session.with_suffix(".verify")
-    array = read_calibration(calibration)
+    array = read_result(calibration)
     with Session.open(session) as opened, console.status("opening") as status:
         check_fit(array, opened.description, calibration)
         check_folder(folder, overwrite=overwrite)

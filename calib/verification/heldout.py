@@ -6,6 +6,8 @@ pose is verified, with a calibration that is made again without these: by the sa
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,15 +15,15 @@ from calib.answer import Answer
 from calib.errors import ResultFileError
 from calib.joint.session import answer_jointly
 from calib.measurements import Measurements
+from calib.result_file import StoredCalibration
 from calib.settings import Settings
-from calib.verification.stored import ArrayCalibration
 from rigs.description import RigDescription
 
 EVERY = 3
 TOLERATED_SIGMAS, TOLERATED_M = 6.0, 0.001
 
 
-def settings_of(calibration: ArrayCalibration, description: RigDescription) -> Settings:
+def settings_of(calibration: StoredCalibration, description: RigDescription) -> Settings:
     """Return the settings that calibrate the same channels by the same method."""
     left_out = tuple(channel for channel in description.audio.channels if channel not in calibration.channels)
     return Settings(method=calibration.method, excluded_channels=left_out)
@@ -32,7 +34,7 @@ def held_out_poses(poses: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.sort(poses)[EVERY // 2 :: EVERY]
 
 
-def check_alone(calibration: ArrayCalibration, session_sha256: str) -> None:
+def check_alone(calibration: StoredCalibration, session_sha256: str) -> None:
     """Refuse to make a calibration of several sessions again from one of them.
 
     Raises
@@ -46,7 +48,7 @@ def check_alone(calibration: ArrayCalibration, session_sha256: str) -> None:
         )
 
 
-def check_unchanged(calibration: ArrayCalibration, again: ArrayCalibration) -> None:
+def check_unchanged(calibration: StoredCalibration, again: StoredCalibration) -> None:
     """Refuse a file whose microphones are not those that its session gives.
 
     Raises
@@ -55,7 +57,7 @@ def check_unchanged(calibration: ArrayCalibration, again: ArrayCalibration) -> N
         One stands farther off than the poses left out explain.
     """
     apart_m = np.linalg.norm(calibration.positions_m - again.positions_m, axis=1)
-    std_m = np.sqrt(np.diag(again.covariance_m2).reshape(-1, 3).sum(axis=1))
+    std_m = np.sqrt(np.diag(again.array_covariance_m2).reshape(-1, 3).sum(axis=1))
     worst = int(np.argmax(apart_m - TOLERATED_SIGMAS * std_m))
     if apart_m[worst] > TOLERATED_SIGMAS * std_m[worst] + TOLERATED_M:
         raise ResultFileError(
@@ -66,8 +68,8 @@ def check_unchanged(calibration: ArrayCalibration, again: ArrayCalibration) -> N
 
 
 def calibrate_without(
-    measured: Measurements, held_out: NDArray[np.int32], calibration: ArrayCalibration
-) -> ArrayCalibration:
+    measured: Measurements, held_out: NDArray[np.int32], calibration: StoredCalibration
+) -> StoredCalibration:
     """Make a calibration again without some poses (n,).
 
     Raises
@@ -76,16 +78,13 @@ def calibrate_without(
         What is left does not support an answer.
     """
     answer = answer_of(measured.without(held_out), calibration.channels)
-    assert answer.array_covariance_m2 is not None
-    return ArrayCalibration(
-        calibration.method,
-        calibration.channels,
-        answer.microphones_m,
-        answer.array_covariance_m2,
-        answer.speed_of_sound_m_s,
-        answer.speed_of_sound_std_m_s,
-        answer.view.intrinsics,
-        calibration.sessions,
+    return replace(
+        calibration,
+        positions_m=answer.microphones_m,
+        array_covariance_m2=answer.array_covariance_m2,
+        speed_of_sound_m_s=answer.speed_of_sound_m_s,
+        speed_of_sound_std_m_s=answer.speed_of_sound_std_m_s,
+        intrinsics=answer.view.intrinsics,
     )
 
 

@@ -7,7 +7,7 @@ does: what differs by more than both uncertainties is explained by as few motion
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,7 @@ from calib.errors import NotConvergedError, NotEnoughDataError
 from calib.joint.assemble import assemble
 from calib.joint.robust import solve_robustly
 from calib.joint.uncertainty import shared_covariance
-from calib.result_file import ArrayResult
-from calib.verification.stored import ArrayCalibration
+from calib.result_file import StoredCalibration
 from rigs.description import RigDescription
 
 FloatArray = NDArray[np.float64]
@@ -94,7 +93,7 @@ class MovementCheck:
 
 
 def check_movement(
-    calibration: ArrayCalibration,
+    calibration: StoredCalibration,
     description: RigDescription,
     view: View,
     corners: PoseCorners,
@@ -104,7 +103,7 @@ def check_movement(
 
     Parameters
     ----------
-    calibration : ArrayCalibration
+    calibration : StoredCalibration
     description : RigDescription
         The session's.
     view : View
@@ -116,12 +115,11 @@ def check_movement(
         now_m, covariance = _placed_anew(calibration, description, view, corners, tdoas)
     except (NotEnoughDataError, NotConvergedError):
         return MovementCheck([], float("nan"), "too few or too similar poses to place the microphones anew")
-    then = ArrayResult("then", calibration.channels, calibration.positions_m, calibration.covariance_m2, frozenset())
-    now = ArrayResult("now", calibration.channels, now_m, covariance, frozenset())
-    resolution_m = _resolution_m(then.covariance_m2 + now.covariance_m2)
+    now = replace(calibration, positions_m=now_m, array_covariance_m2=covariance)
+    resolution_m = _resolution_m(calibration.array_covariance_m2 + covariance)
     if resolution_m > 3 * MAX_STD_M:
         return MovementCheck([], float("nan"), f"it would miss a microphone that moved by {1e3 * resolution_m:.0f} mm")
-    return MovementCheck(motions_of(compare(then, now)), resolution_m)
+    return MovementCheck(motions_of(compare(calibration, now)), resolution_m)
 
 
 def motions_of(comparison: Comparison) -> list[Motion]:
@@ -138,7 +136,7 @@ def motions_of(comparison: Comparison) -> list[Motion]:
 
 
 def _placed_anew(
-    calibration: ArrayCalibration,
+    calibration: StoredCalibration,
     description: RigDescription,
     view: View,
     corners: PoseCorners,

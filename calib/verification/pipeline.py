@@ -17,13 +17,13 @@ from calib.emissions import EmissionTdoas, accepted_rows, measure_tdoas
 from calib.errors import NotEnoughDataError
 from calib.joint.assemble import arrival_table, emission_rows
 from calib.measurements import Measurements
+from calib.result_file import StoredCalibration
 from calib.sound import windows_of
 from calib.verification.comparison import Comparison, compare, see_buzzers
 from calib.verification.heldout import calibrate_without, check_alone, check_unchanged, held_out_poses, settings_of
 from calib.verification.location import Heard, Located, Speed, locate
 from calib.verification.movement import MovementCheck, check_movement
 from calib.verification.steering import ResponseMap, SteeredResponse
-from calib.verification.stored import ArrayCalibration
 from calib.verification.verdict import Limits, Verdict, judge
 from rigs.description import RigDescription
 from rigs.session.reader import Session
@@ -41,7 +41,7 @@ class Verification:
     Parameters
     ----------
     session_name : str
-    calibration : ArrayCalibration
+    calibration : StoredCalibration
         As it was verified.
     made_again : bool
         The session is the one that it was made from, so it was made again without the poses verified.
@@ -59,7 +59,7 @@ class Verification:
     """
 
     session_name: str
-    calibration: ArrayCalibration
+    calibration: StoredCalibration
     made_again: bool
     size_px: tuple[int, int]
     row: NDArray[np.intp]
@@ -82,7 +82,7 @@ class Verification:
 
 
 def verify(
-    session: Session, calibration: ArrayCalibration, limits: Limits, tell: Callable[[str], None] = lambda _: None
+    session: Session, calibration: StoredCalibration, limits: Limits, tell: Callable[[str], None] = lambda _: None
 ) -> Verification:
     """Locate the sounds of poses that a calibration has not used, and compare them with what the camera saw.
 
@@ -135,7 +135,7 @@ def verify(
     )
 
 
-def calibrated_view(calibration: ArrayCalibration, description: RigDescription, corners: PoseCorners) -> View:
+def calibrated_view(calibration: StoredCalibration, description: RigDescription, corners: PoseCorners) -> View:
     """Return the board's poses by the calibrated camera, in the order of their numbers.
 
     Raises
@@ -149,7 +149,7 @@ def calibrated_view(calibration: ArrayCalibration, description: RigDescription, 
 
 
 def locate_emissions(
-    calibration: ArrayCalibration,
+    calibration: StoredCalibration,
     description: RigDescription,
     view: View,
     corners: PoseCorners,
@@ -167,7 +167,7 @@ def locate_emissions(
     if len(rows) == 0:
         raise NotEnoughDataError("no emission belongs to a pose at which the board was seen: capture again")
     table = arrival_table(description, view, tdoas, calibration.channels)
-    heard = Heard(calibration.positions_m, calibration.covariance_m2, table.arrival_s, table.std_s)
+    heard = Heard(calibration.positions_m, calibration.array_covariance_m2, table.arrival_s, table.std_s)
     located = locate(heard, known)
     seen = see_buzzers(view, corners, description.board, tdoas.pose[rows], tdoas.buzzer[rows])
     return located, compare(located, seen, view)
@@ -176,7 +176,7 @@ def locate_emissions(
 def _maps(
     session: Session,
     rows: NDArray[np.intp],
-    calibration: ArrayCalibration,
+    calibration: StoredCalibration,
     located: Located,
 ) -> list[ResponseMap]:
     description = session.description
@@ -202,7 +202,7 @@ def _maps(
         return list(pool.map(mapped, range(len(rows))))
 
 
-def _name_doubts(session: Session, calibration: ArrayCalibration, *, made_again: bool) -> list[str]:
+def _name_doubts(session: Session, calibration: StoredCalibration, *, made_again: bool) -> list[str]:
     if made_again or session.name not in calibration.sessions.values():
         return []
     doubt = (
