@@ -163,7 +163,7 @@ def test_a_session_goes_by_its_name(session, monkeypatch):
 def test_a_folder_that_takes_no_files_is_told(session, capsys):
     exit_code, error = refused(capsys, session, "-o", "/proc/a.yaml")
     assert exit_code == 2
-    assert error.startswith("rig-calibrate: /proc/a.yaml: cannot be made")
+    assert error.startswith("rig-calibrate: /proc: cannot be written to")
 
 
 def test_the_screen_says_what_was_left_out(tmp_path, simulated_description, capsys):

@@ -25,7 +25,7 @@ EDGES_S, STEPS = pin_edges(DESCRIPTION.signal.waveform())
 class Silent:
     """A loudspeaker that keeps what it is given; sample 0 sounds at host time 0."""
 
-    rate_hz, channels, written = RATE_HZ, 8, 0
+    rate_hz, channels, written, stood_still = RATE_HZ, 8, 0, False
 
     def __init__(self) -> None:
         self.now_s, self.corrections = 0.0, 0

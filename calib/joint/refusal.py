@@ -27,7 +27,8 @@ def check_determined(solution: JointSolution, covariance: FloatArray, n_mics: in
     """Refuse an answer that is none, or that rests on what was assumed rather than measured.
 
     What is assumed of intrinsics and delays keeps the solve from running away. Where the microphones would be far less
-    certain with a tenth of that assumed, it is not the session that places them.
+    certain with a tenth of that assumed, it is not the session that places them. What the user told to hold is relied
+    upon, and its error stands in the covariance.
 
     Raises
     ------
@@ -55,5 +56,5 @@ def check_determined(solution: JointSolution, covariance: FloatArray, n_mics: in
 def _assuming_less(problem: JointProblem, blocks: Blocks) -> JointProblem:
     std = problem.priors.std.copy()
     for assumed in (blocks.camera, blocks.delays):
-        std[assumed] *= ASSUMED_LESS
+        std[assumed] *= np.where(problem.priors.free[assumed], ASSUMED_LESS, 1.0)
     return replace(problem, priors=replace(problem.priors, std=std))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, NotEnoughDataError
 from calib.joint.problem import JointProblem
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.uncertainty import shared_covariance
@@ -14,6 +14,7 @@ from calib.joint.unknowns import Blocks
 FloatArray = NDArray[np.float64]
 
 STRAYS_SIGMAS = 3.0
+CONTRADICTS_SIGMAS = 4.0  # of the intrinsics: all places rest on them, and bend with them
 LEARNT = 0.98  # of the prior's variance: where more is left, the measurements say nothing
 
 
@@ -25,6 +26,11 @@ def stray_doubts(solution: JointSolution, released: JointProblem) -> list[str]:
     solution : JointSolution
     released : JointProblem
         The same measurements with nothing held.
+
+    Raises
+    ------
+    NotEnoughDataError
+        The measurements contradict held intrinsics.
     """
     priors = solution.problem.priors
     try:
@@ -36,11 +42,13 @@ def stray_doubts(solution: JointSolution, released: JointProblem) -> list[str]:
     doubts = []
     for name, where, block, check in _values(solution.at.blocks):
         sigmas = float(np.sqrt(np.mean(deviations[where] ** 2)))
-        if not priors.free[where].any() and sigmas > STRAYS_SIGMAS:
-            doubts.append(
-                f"{name} is held at {_told(solution, where)}, and the measurements say {_told(free, where)}, "
-                f"{sigmas:.1f} standard deviations away: do not hold {block}, or check {check} in the rig description"
-            )
+        if priors.free[where].any() or sigmas < STRAYS_SIGMAS:
+            continue
+        held, said = f"{name} is held at {_told(solution, where)}", f"say {_told(free, where)}"
+        remedy = f"{sigmas:.1f} standard deviations away: do not hold {block}, or check {check} in the rig description"
+        if block == "intrinsics" and sigmas > CONTRADICTS_SIGMAS:
+            raise NotEnoughDataError(f"{held}, and the measurements contradict it: they {said}, {remedy}")
+        doubts.append(f"{held}, and the measurements {said}, {remedy}")
     return doubts
 
 
