@@ -159,7 +159,7 @@ def read_result(path: Path) -> StoredCalibration:
         remedy.
     """
     try:
-        content = load_yaml(_text(path), str(path))
+        content = load_yaml(_text(path), str(path), fast=True)
         _check_kind(content, path)
         document = _Document.model_validate(content)
     except DescriptionError as error:
