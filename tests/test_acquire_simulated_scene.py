@@ -46,7 +46,7 @@ def test_the_reference_microphone_is_heard_last_and_no_unknown():
 
 
 def test_truth_differs_a_little_from_the_description():
-    description = make_description()
+    description = make_description(board={"buzzer_std_m": 0.0001})
     truth = draw_scene(description, 3).truth()
     described_m = np.array([buzzer.position_m for buzzer in description.board.buzzers])
     assert 1e-5 < np.abs(truth.buzzers_m - described_m).mean() < 3e-4

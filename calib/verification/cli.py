@@ -48,6 +48,7 @@ def command(
     a session missing, damaged or not good enough, 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
+    from rich.markup import escape
 
     from calib.result_file import read_result
     from calib.verification.fit import check_fit
@@ -65,7 +66,7 @@ def command(
         check_folder(folder, overwrite=overwrite)
 
         def tell(step: str) -> None:
-            status.update(f"{session.name}: {step} ...")
+            status.update(f"{escape(session.name)}: {step} ...")
 
         verification = verify(opened, array, Limits(limit_deg, limit_moved_mm / 1e3), tell)
         codec = write_folder(verification, opened, folder, overwrite=overwrite, tell=tell)
