@@ -152,7 +152,7 @@ def compare(first: StoredCalibration, second: StoredCalibration) -> Comparison:
     Raises
     ------
     MethodError
-        They have too few channels in common.
+        They have too few channels in common, or covariances that cannot be weighed against each other.
     """
     common = tuple(channel for channel in first.channels if channel in second.channels)
     if len(common) < MIN_MICS:
@@ -161,9 +161,20 @@ def compare(first: StoredCalibration, second: StoredCalibration) -> Comparison:
             "name two results of one array"
         )
     first, second = first.only(common), second.only(common)
+    _check_weights(first, second)
     unmoved = fit(first, second)
     best = _explained(first, second, unmoved)
     return Comparison(first, second, unmoved, fit(first, second, rigid=True, moved=best.moved), best)
+
+
+def _check_weights(first: StoredCalibration, second: StoredCalibration) -> None:
+    try:
+        cho_factor(first.array_covariance_m2 + second.array_covariance_m2)
+    except np.linalg.LinAlgError as error:
+        raise MethodError(
+            f"{first.name} and {second.name}: array_covariance_m2 of both together has no inverse: calibrate their "
+            "sessions again"
+        ) from error
 
 
 def fit(

@@ -28,6 +28,7 @@ MAX_BYTES = 10_000_000
 MAX_MICROPHONES = 64
 ROUNDING = 1e-4  # of the largest entry: how far apart two entries may be that should be alike
 _AGAIN = "calibrate the session again"
+_NO_COVARIANCE = "not symmetric with positive variances and eigenvalues, so no covariance: put it right"
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def read_result(path: Path) -> StoredCalibration:
         remedy.
     """
     try:
-        content = load_yaml(_text(path), str(path))
+        content = load_yaml(_text(path), str(path), fast=True)
         _check_kind(content, path)
         document = _Document.model_validate(content)
     except DescriptionError as error:
@@ -254,11 +255,11 @@ def _covariance_fault(document: _Document) -> str:
     for number, (mine, block) in enumerate(zip(own, microphone_covariances(whole, n_mics), strict=True)):
         where = f"microphones[{number}].covariance_m2"
         if not _is_covariance(mine):
-            return f"{where}: not symmetric with positive variances, so no covariance: put it right"
+            return f"{where}: {_NO_COVARIANCE}"
         if np.abs(mine - block).max() > ROUNDING * mine.max():
             return f"{where} and array_covariance_m2 contradict each other: put them right"
     if not _is_covariance(whole):
-        return "array_covariance_m2: not symmetric with no negative eigenvalue, so no covariance: put it right"
+        return f"array_covariance_m2: {_NO_COVARIANCE}"
     return ""
 
 

@@ -12,6 +12,7 @@ from conftest import MICROPHONES_M, write_measured_session
 from calib.cli import command
 from calib.comparison import FALSE_ALARM, compare
 from calib.comparison_screen import verdict
+from calib.errors import MethodError
 from calib.result import SOFTWARE, Recording
 from calib.result_file import StoredCalibration, read_result
 from rigs.command import run
@@ -150,3 +151,9 @@ def test_too_few_common_channels(results, capsys):
     first, second = (read_result(path) for path in results)
     with pytest.raises(Exception, match="3 channels in common"):
         compare(first, replace(second, channels=(1, 2, 3, 21, 22, 23, 24, 25)))
+
+
+def test_covariances_that_leave_no_scatter_are_refused():
+    one = replace(measured(np.random.default_rng(0), MICROPHONES_M, "a"), array_covariance_m2=np.full((24, 24), 1e-8))
+    with pytest.raises(MethodError, match="array_covariance_m2 of both together has no inverse"):
+        compare(one, one)

@@ -91,10 +91,10 @@ SPOILT = {
     "no method": (lambda d: d.pop("method"), "method: missing"),
     "text for a speed": (lambda d: d.update(speed_of_sound_m_s="fast"), "speed_of_sound_m_s: 'fast' is not a number"),
     "NaN in the covariance": (lambda d: d["array_covariance_m2"][3].__setitem__(4, math.nan), "covariance_m2[3][4]"),
-    "eigenvalue": (two_alike, "array_covariance_m2: not symmetric with no negative eigenvalue"),
+    "eigenvalue": (two_alike, "array_covariance_m2: not symmetric with positive"),
     "a variance of 0": (
         lambda d: d["microphones"][2].update(covariance_m2=np.zeros((3, 3)).tolist()),
-        "microphones[2].cov",
+        "microphones[2].covariance_m2: not symmetric",
     ),
     "contradiction": (
         lambda d: d["microphones"].insert(1, d["microphones"].pop(0)),
