@@ -14,7 +14,7 @@ from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
-from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
+from calib.joint.assemble import PairTdoas, assemble, emission_rows, nodes, pair_tdoas
 from calib.joint.bias import without_bias
 from calib.joint.continuation import Continuation
 from calib.joint.contradictions import check_held_intrinsics, check_suspects
@@ -22,6 +22,7 @@ from calib.joint.heldout import hold_out
 from calib.joint.next_pose import Suggestion, suggest_poses
 from calib.joint.observability import observability_doubts, weakest_motion
 from calib.joint.pairs import arrivals_that_agree
+from calib.joint.priors import camera_std
 from calib.joint.problem import JointProblem
 from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
