@@ -17,7 +17,7 @@ from calib.result import SOFTWARE, Recording
 from calib.result_file import StoredCalibration, read_result
 from rigs.command import run
 from rigs.description import Intrinsics
-from rigs.geometry import Pose
+from rigs.geometry import Pose, rotation_matrix
 
 CHANNELS = tuple(range(1, 9))
 INTRINSICS = Intrinsics(focal_px=(940, 940), principal_px=(640, 360))
@@ -50,6 +50,13 @@ def test_false_alarms_are_as_rare_as_said():
     assert np.mean([each.differ for each in found]) <= FALSE_ALARM + 3 * np.sqrt(FALSE_ALARM / 300)
     for fits in ([each.unmoved for each in found], [each.rigid for each in found if not each.differ]):
         assert 0.42 < np.mean([fit.chi_square.chance for fit in fits]) < 0.58
+
+
+def test_an_array_that_was_turned_keeps_its_covariance():
+    """The first result's uncertainty turns with the array."""
+    turned_m = MICROPHONES_M @ Pose(rotation_matrix(np.array([0.0, 0.0, 1.2])), np.zeros(3)).rotation.T
+    chances = [compared(seed, turned_m).rigid.chi_square.chance for seed in range(60)]
+    assert 0.35 < np.mean(chances) < 0.65
 
 
 def test_a_microphone_that_moved_is_named():
