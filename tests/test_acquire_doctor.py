@@ -15,12 +15,13 @@ from scripted_board import HELLO, ScriptedBoard
 from simboard import running_board
 
 from acquire.devices.choose import choose_devices
+from acquire.devices.simulated.trigger import SimulatedTrigger
 from acquire.doctor.checkup import check_up
 from acquire.doctor.cli import cli
 from acquire.doctor.hearing import Hearing
 from acquire.doctor.row import Part, Row, State, exit_code, refusal
 from acquire.doctor.table import LiveTable, hearing_table
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceRestartedError, FirmwareError
 from rigs.command import run
 from rigs.library import FoundDescription
 
@@ -176,6 +177,26 @@ def test_a_foreign_firmware_is_exit_code_4(tmp_path):
     assert faults(rows) == {("firmware", "bad")}
     assert exit_code(rows) == 4
     assert "rig-flash" in next(row.remedy for row in rows if row.subject == "firmware")
+
+
+def test_a_board_that_comes_back_with_another_firmware_does_not_hide_the_rest(tmp_path, monkeypatch):
+    def restarted(*_):
+        raise DeviceRestartedError("/dev/ttyX: the board restarted: check its cable")
+
+    def foreign(_board):
+        raise FirmwareError("/dev/ttyX: the firmware there is grbl: run rig-flash")
+
+    def lost_while_it_plays(finding):
+        if str(finding).startswith("listening"):
+            monkeypatch.setattr(SimulatedTrigger, "play", restarted)
+            monkeypatch.setattr(SimulatedTrigger, "open", foreign)
+        return finding
+
+    rows = [lost_while_it_plays(each) for each in check_up(small_description(), tmp_path, seed=0)]
+    rows = [each for each in rows if isinstance(each, Row)]
+    assert ("trigger board", "bad") in faults(rows)
+    assert exit_code(rows) == 4
+    assert {row.part for row in rows} == set(Part)
 
 
 def test_every_missing_device_has_its_row(tmp_path):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import AudioInput, ClockFit, TriggerBoard
 from acquire.doctor.devices import Devices
-from acquire.errors import DeviceError, DeviceRestartedError
+from acquire.errors import DeviceError, DeviceRestartedError, FirmwareError
 from acquire.sample_clock import SampleClock
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
@@ -41,7 +41,7 @@ class Sounds:
         As many came within that time.
     n_losses : int
         How often the sound device said that samples were lost.
-    trigger_lost : DeviceError or None
+    trigger_lost : DeviceError, FirmwareError or None
         Why the trigger board did not play every buzzer.
     """
 
@@ -53,7 +53,7 @@ class Sounds:
     span_s: float
     span_samples: int
     n_losses: int
-    trigger_lost: DeviceError | None
+    trigger_lost: DeviceError | FirmwareError | None
 
 
 class Listening:
@@ -89,12 +89,12 @@ class Listening:
         self._listen(QUIET_S)
         quiet_end = self._n_samples
         starts_s: list[float] = []
-        lost = None
+        lost: DeviceError | FirmwareError | None = None
         for buzzer in self._description.board.buzzers if trigger else ():
             assert trigger is not None
             try:
                 starts_s.append(self._started(trigger, buzzer.id))
-            except DeviceError as error:
+            except (DeviceError, FirmwareError) as error:
                 lost = error
                 break
             self._listen(self._waveform.duration_s + max(self._description.signal.gap_s, AFTER_S))
@@ -109,7 +109,9 @@ class Listening:
             trigger.open()
             return trigger.play(buzzer, self._waveform).host_time_s
 
-    def _sounds(self, began: int, quiet_end: int, starts_s: list[float], trigger_lost: DeviceError | None) -> Sounds:
+    def _sounds(
+        self, began: int, quiet_end: int, starts_s: list[float], trigger_lost: DeviceError | FirmwareError | None
+    ) -> Sounds:
         rows = [self._sample_clock.sample_at(start_s) for start_s in starts_s]
         fit = self._sample_clock.longest_fit()
         assert fit is not None  # the device delivered when it was opened
