@@ -190,6 +190,7 @@ def _opened(rig: Rig, stop_wanted: Callable[[], bool], remedy: str) -> Iterator[
             try:
                 versions[part] = rig.clock.wait_for(device.open, glance)
             except DeviceError as error:
+                glance()  # Ctrl-C at a terminal ends what a device has started, too
                 raise DeviceError(f"{error}{remedy}") from error
         yield versions
 

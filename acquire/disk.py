@@ -7,7 +7,7 @@ from pathlib import Path
 
 from acquire.errors import DiskShortError
 from rigs.description import RigDescription
-from rigs.errors import TargetError
+from rigs.errors import TargetError, reason
 
 _RESERVE_BYTES = 64_000_000
 _RESERVE_S = 10.0
@@ -33,7 +33,7 @@ class DiskSpace:
         self._reserve_bytes = _RESERVE_BYTES + _RESERVE_S * _bytes_per_s(description)
 
     def check(self, also_bytes: int = 0) -> None:
-        """Raise DiskShortError where less is left than it takes to close the session well.
+        """Raise DiskShortError where less is left than it takes to close the session well, or the folder is gone.
 
         Parameters
         ----------
@@ -73,7 +73,10 @@ def _bytes_per_s(description: RigDescription) -> float:
 
 
 def _free_bytes(path: Path) -> int:
-    usage = shutil.disk_usage(path.parent)
+    try:
+        usage = shutil.disk_usage(path.parent)
+    except OSError as error:
+        raise DiskShortError(f"{path}: its folder is gone ({reason(error)}): look where it was moved to") from error
     if usage.total == usage.free == 0:
         raise TargetError(f"{path}: {path.parent} is no disk: choose another folder")
     return usage.free

@@ -325,6 +325,25 @@ def test_another_seed_is_refused(path, capsys):
     assert "began with --seed 5, so it cannot go on with --seed 6" in capsys.readouterr().err
 
 
+def test_a_session_that_begins_with_measurements_cannot_go_on(tmp_path, capsys):
+    path, found = tmp_path / "s1.h5", small_rig()
+    columns, rows = found.description.board.corners
+    with SessionWriter.create(
+        path,
+        name="s1",
+        description_text=found.text,
+        n_channels=len(found.description.audio.recorded_channels()),
+        sample_rate_hz=found.description.audio.sample_rate_hz,
+        versions={},
+        corners_px=np.zeros((1, columns * rows, 2)),
+    ) as writer:
+        writer.append_pose(pose=0, start_host_time_s=0.0, end_host_time_s=1.0, accepted=True)
+    content = path.read_bytes()
+    assert rig_capture("--session", path, "--resume") == 2
+    assert "begins with measured corners or TDOAs" in capsys.readouterr().err
+    left_alone(path, content)
+
+
 def test_a_session_that_is_not_there_cannot_go_on(tmp_path, capsys):
     assert rig_capture("--session", tmp_path / "s1", "--resume") == 5
     assert "no such file" in capsys.readouterr().err
