@@ -43,8 +43,8 @@ class DiskSpace:
         free_bytes, needed_bytes = _free_bytes(self._path), self._reserve_bytes + also_bytes
         if free_bytes < needed_bytes:
             raise DiskShortError(
-                f"{self._path}: the disk is nearly full ({_in_words(free_bytes)} left, at least "
-                f"{_in_words(needed_bytes)} needed): {_REMEDY}"
+                f"{self._path}: the disk is nearly full ({in_words(free_bytes)} left, at least "
+                f"{in_words(needed_bytes)} needed): {_REMEDY}"
             )
 
     def doubt(self) -> str | None:
@@ -53,8 +53,8 @@ class DiskSpace:
         if room_bytes >= self._session_bytes:
             return None
         return (
-            f"{self._path}: this session may take {_in_words(self._session_bytes)}, the disk has room for "
-            f"{_in_words(max(room_bytes, 0))}: {_REMEDY}"
+            f"{self._path}: this session may take {in_words(self._session_bytes)}, the disk has room for "
+            f"{in_words(max(room_bytes, 0))}: {_REMEDY}"
         )
 
 
@@ -82,5 +82,6 @@ def _free_bytes(path: Path) -> int:
     return usage.free
 
 
-def _in_words(n_bytes: float) -> str:
+def in_words(n_bytes: float) -> str:
+    """Return a size as people say it."""
     return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"
