@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from audio_inputs import RATE_HZ, counted, lost_samples, pulse_source, wait_until
+from audio_inputs import PULSE, RATE_HZ, counted, lost_samples, pulse_source, wait_until
 from disk_stall import stalling_disk
 from virtual_bench.pulse import pulse_server
 
@@ -20,6 +20,7 @@ from acquire.devices.recorder import Recorder
 from acquire.errors import DeviceError
 from acquire.sound_devices import SoundDevice, choose_sound_device, sound_devices
 from rigs.description import Audio, AudioDevice
+from rigs.session.layout import FLAG_OVERFLOW
 from rigs.session.reader import Session
 
 PROGRAM = Path(__file__).with_name("recording_program.py")
@@ -147,6 +148,53 @@ def test_a_recorder_that_crashes_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(DeviceError, match="PortAudio crashed"):
         sound_devices()
+
+
+OVERFLOWING = """
+import os, threading, time
+from types import SimpleNamespace
+
+class PortAudioError(Exception):
+    pass
+
+query_hostapis = lambda: [{"name": "fake"}]
+query_devices = lambda: [{"name": "mic", "hostapi": 0, "max_input_channels": 2, "default_samplerate": 48000.0}]
+get_portaudio_version = lambda: (0, "fake 1, of today")
+
+class RawInputStream:
+    def __init__(self, *, callback, **_):
+        self._callback = callback
+
+    def start(self):
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self):
+        times, wish = SimpleNamespace(inputBufferAdcTime=0.0, currentTime=0.0), os.environ["OVERFLOW"]
+        while True:
+            overflows = os.path.exists(wish)
+            self._callback(bytes(8 * 480), 480, times, SimpleNamespace(input_overflow=overflows, input_underflow=False))
+            if overflows:
+                os.unlink(wish)
+            time.sleep(0.01)
+"""
+
+
+def test_an_overflow_that_the_driver_tells_of_is_flagged_once(tmp_path, monkeypatch):
+    (tmp_path / "sounddevice.py").write_text(OVERFLOWING)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("OVERFLOW", str(tmp_path / "now"))
+    monkeypatch.setattr("acquire.devices.recorder._SETTLE_S", 0.1)
+    audio = PortAudioInput(Audio.model_validate(PULSE | {"device": {"name": "mic"}, "channels": (1, 2)}))
+    audio.open()
+    flags = []
+    try:
+        flags += [block.flags for block in audio.read()]
+        (tmp_path / "now").touch()
+        wait_until(lambda: flags.extend(block.flags for block in audio.read()) or any(flags))
+        wait_until(lambda: len(audio.read()) > 0)
+    finally:
+        audio.close()
+    assert sum(flags) == FLAG_OVERFLOW
 
 
 @pytest.mark.parametrize(
