@@ -158,7 +158,7 @@ class PortAudioError(Exception):
     pass
 
 query_hostapis = lambda: [{"name": "fake"}]
-query_devices = lambda: [{"name": "mic", "hostapi": 0, "max_input_channels": 2, "default_samplerate": 48000.0}]
+query_devices = lambda: [{"name": "mic", "hostapi": 0, "max_input_channels": 4, "default_samplerate": 48000.0}]
 get_portaudio_version = lambda: (0, "fake 1, of today")
 
 class RawInputStream:
@@ -171,9 +171,9 @@ class RawInputStream:
     def _run(self):
         times, wish = SimpleNamespace(inputBufferAdcTime=0.0, currentTime=0.0), os.environ["OVERFLOW"]
         while True:
-            overflows = os.path.exists(wish)
-            self._callback(bytes(8 * 480), 480, times, SimpleNamespace(input_overflow=overflows, input_underflow=False))
-            if overflows:
+            status = SimpleNamespace(input_overflow=os.path.exists(wish), input_underflow=False)
+            self._callback(bytes(16 * 480), 480, times, status)
+            if status.input_overflow:
                 os.unlink(wish)
             time.sleep(0.01)
 """
@@ -184,7 +184,7 @@ def test_an_overflow_that_the_driver_tells_of_is_flagged_once(tmp_path, monkeypa
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setenv("OVERFLOW", str(tmp_path / "now"))
     monkeypatch.setattr("acquire.devices.recorder._SETTLE_S", 0.1)
-    audio = PortAudioInput(Audio.model_validate(PULSE | {"device": {"name": "mic"}, "channels": (1, 2)}))
+    audio = PortAudioInput(Audio.model_validate(PULSE | {"device": {"name": "mic"}, "channels": (1, 2, 3, 4)}))
     audio.open()
     flags = []
     try:
