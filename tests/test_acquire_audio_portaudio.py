@@ -222,7 +222,7 @@ def test_words_that_fit_several_devices_or_none_list_what_is_there():
 def test_the_devices_are_listed_with_their_words():
     with pulse_server() as server:
         command = [sys.executable, "-c", "from acquire.cli import main; main()", "--list-devices"]
-        run = subprocess.run(command, env=server.environment, capture_output=True, text=True, check=False)
+        run = subprocess.run(command, env=server.environment, capture_output=True, text=True, timeout=60, check=False)
     assert run.returncode == 0, run.stderr
     assert 'device: {name: "pulse", host_api: "ALSA"}' in run.stdout
     assert "Cameras" in run.stdout
@@ -234,7 +234,7 @@ def test_a_missing_library_does_not_hide_the_other_devices(tmp_path):
     (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')")
     command = [sys.executable, "-c", "from acquire.cli import main; main()", "--list-devices"]
     environment = dict(os.environ) | {"PYTHONPATH": str(tmp_path)}
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert run.returncode == 3
     assert "Serial ports" in run.stdout
     assert run.stderr.count("\n") == 1
