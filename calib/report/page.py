@@ -9,6 +9,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib.joint.next_pose import ONE_AFTER_ANOTHER
 from calib.joint.observability import board_tilts_deg
 from calib.rejections import KINDS, Rejection
 from calib.report.geometry import MOST_BOARDS
@@ -75,6 +76,7 @@ def report(sessions: list[Session], result: Calibration, settings: Settings, res
         sound_flaws=_sound_flaws(result),
         truth=_truth(result),
         meanings=MEANINGS,
+        one_after_another=ONE_AFTER_ANOTHER,
         command=command_line([session.path.name for session in sessions], result_name, settings),
         fit=_fit(result),
         settings=settings_table(settings),

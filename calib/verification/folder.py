@@ -99,6 +99,7 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "errors": {spread.name: _figures(spread) for spread in spreads(verification)},
         "movement": {
             "told": not movement.doubt,
+            **({"why_not": movement.doubt} if movement.doubt else {}),
             "smallest_told_m": None if movement.doubt else float(f"{movement.resolution_m:.3g}"),
             "moved": [
                 {
