@@ -142,7 +142,7 @@ def command(
     from calib.pipeline import calibrate, calibrate_together
     from calib.publication import Publication
     from calib.result import check_result_target, write_calibration
-    from calib.screen import show
+    from calib.screen import show, show_published
     from calib.settings import Settings
     from rigs.session.reader import Session
 
@@ -186,8 +186,7 @@ def command(
         tell("writing what stands beside the result")
         published = publication.publish(sessions, result, settings)
     show(result, target, console)
-    for line in published:
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    show_published(published, console)
     return None
 
 
@@ -197,6 +196,7 @@ def _export(
     from calib.errors import MethodError
     from calib.publication import Publication
     from calib.result_file import read_result
+    from calib.screen import show_published
 
     result = files[0]
     if len(files) > 1:
@@ -205,8 +205,7 @@ def _export(
         raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
     publication = Publication(output or result, overwrite, report=False, formats=formats)
     publication.check()
-    for line in publication.export_only(read_result(result)):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    show_published(publication.export_only(read_result(result)), console)
 
 
 def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:

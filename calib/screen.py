@@ -17,6 +17,7 @@ from calib.rejections import KINDS, Rejection
 from calib.result import Calibration
 
 NARROWEST = 76
+VERDICTS = {"good": "bold green", "usable": "bold yellow", "do not use": "bold red"}
 WORST = 4  # of what was left out, told by name
 
 
@@ -36,6 +37,13 @@ def show(result: Calibration, path: Path, console: Console) -> None:
     for number, suggestion in enumerate(result.suggestions, start=1):
         console.print(_line(f"{number}.", "bold", suggestion.sentence()))
     console.print(f"Written: {escape(str(path))}", soft_wrap=True, highlight=False)
+
+
+def show_published(lines: list[str], console: Console) -> None:
+    """Print the verdict, and what was written beside the result; lines are not broken, so that names can be copied."""
+    for line in lines:
+        style = next((style for level, style in VERDICTS.items() if line.startswith(f"Verdict: {level}.")), "")
+        console.print(Text(line, style), soft_wrap=True)
 
 
 def _microphone_table(result: Calibration) -> Table:

@@ -49,7 +49,7 @@ class Criterion:
 
     def in_words(self) -> str:
         """Say what was found, and what it should have been."""
-        limit = f"usable {self.usable}" if self.level == "do not use" else f"good {self.good}"
+        limit = f"usable: {self.usable}" if self.level == "do not use" else f"good: {self.good}"
         return f"{self.name[0].lower()}{self.name[1:]} ({self.found}; {limit})"
 
 
@@ -136,7 +136,7 @@ def _of_speed(result: Calibration, description: RigDescription) -> Criterion:
 def _of_warnings(result: Calibration) -> Criterion:
     n_warnings = len(result.warnings)
     level: Level = "usable" if n_warnings else "good"
-    return Criterion("Warnings", str(n_warnings), "≤ 0", "any", level, "each is listed under Doubts")
+    return Criterion("Warnings", str(n_warnings), "none", "any", level, "each is listed under Doubts")
 
 
 def _at_most(name: str, value: float, limits: tuple[float, float], unit: str, why: str) -> Criterion:
