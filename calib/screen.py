@@ -40,10 +40,10 @@ def show(result: Calibration, path: Path, console: Console) -> None:
 
 
 def show_published(lines: list[str], console: Console) -> None:
-    """Print the verdict, and what was written beside the result; lines are not broken, so that names can be copied."""
+    """Print the verdict, and what was written beside the result; its lines stay whole, so that names can be copied."""
     for line in lines:
         style = next((style for level, style in VERDICTS.items() if line.startswith(f"Verdict: {level}.")), "")
-        console.print(Text(line, style), soft_wrap=True)
+        console.print(Text(line, style), soft_wrap=not style)
 
 
 def _microphone_table(result: Calibration) -> Table:

@@ -85,7 +85,7 @@ def audio(
 def _write(
     session: Session, numbers: list[int], excerpt_of: Callable[[int], Excerpt], output: Path | None, form: Format | None
 ) -> None:
-    from rigs.session.sound_files import format_of, write_sound  # noqa: PLC0415
+    from rigs.session.sound_files import FORMATS, format_of, write_sound  # noqa: PLC0415
     from rigs.target import whole_file, whole_folder  # noqa: PLC0415
 
     if len(numbers) == 1:
@@ -96,6 +96,8 @@ def _write(
         click.echo(f"{path}: emission {numbers[0]}")
         return
     folder = output or session.path.with_suffix(".audio")
+    if folder.suffix.lower() in {f".{each}" for each in FORMATS}:
+        raise RigError(f"{folder}: {len(numbers)} emissions make a file each: name a folder, or one --emission")
     with whole_folder(folder) as unfinished:
         for number in numbers:
             excerpt = excerpt_of(number)
