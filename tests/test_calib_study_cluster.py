@@ -40,7 +40,7 @@ def rig_study(study):
     """Start the command as a process of its own; whatever still runs at the end is ended."""
     started = []
 
-    def start(output: Path, *options: str) -> subprocess.Popen:
+    def start(output: Path, *options: str, threads: str = "1") -> subprocess.Popen:
         program = "import sys; from calib.study.cli import main; sys.exit(main())"
         started.append(
             subprocess.Popen(
@@ -49,7 +49,7 @@ def rig_study(study):
                 stderr=subprocess.PIPE,
                 text=True,
                 cwd=study.parent,
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+                env=os.environ | {"OPENBLAS_NUM_THREADS": threads},
             )
         )
         return started[-1]
@@ -83,6 +83,18 @@ def test_a_killed_worker_loses_and_doubles_nothing(rig_study, tmp_path):
     assert only.returncode == 0, err
     assert results(shared).column("repetition").to_pylist() == list(range(120))
     assert results(shared).equals(results(alone))
+
+
+def test_the_tables_are_the_same_to_the_byte_whatever_the_number_of_workers(rig_study, study, tmp_path):
+    """Threads of linear algebra add up in another order: one worker must not take what two do not."""
+    study.write_text(study.read_text().replace("repetitions: 120", "repetitions: 20"))
+    outputs = {number: tmp_path / number for number in ("1", "2")}
+    for number, output in outputs.items():
+        _, err = (running := rig_study(output, "--workers", number, threads="2")).communicate(timeout=START_S)
+        assert running.returncode == 0, err
+    for name in ("results.csv", "results.parquet", "summary.csv", "page.md"):
+        one, two = ((output / "parts" / name).read_bytes() for output in outputs.values())
+        assert one == two, name
 
 
 def test_a_scheduler_that_dies_is_told_and_what_was_finished_stays(rig_study, tmp_path):
