@@ -3,12 +3,14 @@
 import csv
 import errno
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from conftest import AISLAB
 
 pytest.importorskip("pyarrow")
@@ -17,6 +19,7 @@ import pyarrow.parquet as pq
 
 from calib.study import cli, part
 from calib.study.cli import main
+from calib.study.description import StudyDescription
 from calib.study.library import find_study, shipped_studies
 
 SMALL = """
@@ -279,3 +282,15 @@ def test_calibration_needs_nothing_of_the_extra():
 
 def test_every_shipped_study_is_valid():
     assert {find_study(name).name for name in shipped_studies()} == set(shipped_studies())
+
+
+def test_the_examples_of_the_docs_are_valid():
+    text = (Path(__file__).parents[1] / "docs" / "studies.md").read_text(encoding="utf-8")
+    whole, *sections = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL))
+    assert StudyDescription.model_validate(whole).repetitions == 200
+    assert {key for section in sections for key in section} == set(StudyDescription.model_fields) - {
+        "format", "version", "name", "title", "seed", "repetitions", "speed_of_sound_m_s", "search_judged_in", "runs"
+    }  # fmt: skip
+    for section in sections:
+        joined = {key: {**whole.get(key, {}), **value} for key, value in section.items()}
+        StudyDescription.model_validate(whole | joined)

@@ -11,7 +11,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,10 +89,10 @@ class StudyFolder:
         pq.write_table(self._table(part, columns), content, compression="zstd")
         write_whole(self._part_path(part), content.getvalue())
 
-    def tables(self, parts: list[Part] | None = None) -> Iterator[pa.Table]:
-        """Return some of the parts, or all, one after the other."""
+    def tables(self, parts: list[Part] | None = None, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Return some of the parts, or all, one after the other, with some of their columns, or all."""
         for part in self.parts if parts is None else parts:
-            yield pq.read_table(self._part_path(part))
+            yield pq.read_table(self._part_path(part), columns=None if columns is None else list(columns))
 
     def write_results(self) -> None:
         """Put the parts together into results.parquet and results.csv, a part at a time.
