@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.errors import ResultFileError
 from calib.joint.uncertainty import microphone_covariances
-from calib.result import FORMAT, VERSION, Calibration, Recording, as_document
+from calib.result import Calibration, Recording
+from calib.result_document import FORMAT, VERSION, as_document
 from calib.settings import Block, Method, Settings
 from calib.sound import TdoaMode
 from rigs.description import Intrinsics

@@ -14,7 +14,8 @@ from rich.text import Text
 
 from calib.errors import CalibrationError
 from calib.pipeline import calibrate
-from calib.result import Calibration, write_calibration
+from calib.result import Calibration
+from calib.result_writer import write_calibration
 from calib.settings import Settings
 from calib.study.workers import Workers, compute
 from rigs.errors import RigError, TargetExistsError
