@@ -96,7 +96,11 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     help="Calibrate each session by itself, all cores at once; a result each, no report, and a table (-o) "
     "[calibrations.csv].",
 )
-@click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
+@click.option(
+    "--cluster",
+    metavar="tcp://HOST:PORT",
+    help="Like --each, on the workers of a Dask scheduler that see the same files.",
+)
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
 @click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
@@ -150,8 +154,8 @@ def command(
     if compare:
         _check_of_results(WITH_COMPARE)
         return _compare(files, console)
-    session = files[0]
-    _check_choices(files, one=follow or inspect_tdoa is not None, each=each, cluster=cluster)
+    session, each = files[0], each or cluster is not None
+    _check_choices(files, one=follow or inspect_tdoa is not None, each=each)
     _check_extras(each=each, asked=bool(plots or export))
     if inspect_tdoa is not None:
         _inspect(session, inspect_tdoa, tdoa, output, console)
@@ -208,11 +212,9 @@ def _export(
     show_published(publication.export_only(read_result(result)), console)
 
 
-def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:
+def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool) -> None:
     if one and (each or len(files) > 1):
         raise click.UsageError("--follow and --inspect-tdoa take one session")
-    if cluster and not each:
-        raise click.UsageError("--cluster goes with --each")
 
 
 def _check_extras(*, each: bool, asked: bool) -> None:

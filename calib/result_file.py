@@ -18,10 +18,11 @@ from calib.joint.uncertainty import microphone_covariances
 from calib.result import FORMAT, VERSION, Calibration, Recording, as_document
 from calib.settings import Block, Method, Settings
 from calib.sound import TdoaMode
-from rigs.description import Channel, Intrinsics
+from rigs.description import Intrinsics
 from rigs.errors import DescriptionError, reason
 from rigs.library import load_yaml
 from rigs.remedies import remedies
+from rigs.section import Channel
 
 FloatArray = NDArray[np.float64]
 
