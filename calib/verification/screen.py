@@ -59,8 +59,8 @@ def _unmoved(verification: Verification) -> str:
 def _origin(verification: Verification) -> Text:
     n_poses, calibration = len(np.unique(verification.pose)), verification.calibration
     words = (
-        f"{verification.located.found.sum()} of {len(verification.row)} sounds located, at {n_poses} poses that the "
-        "calibration has not used"
+        f"{verification.located.found.sum()} of {len(verification.row)} sounds located, at {n_poses} "
+        f"{'pose' if n_poses == 1 else 'poses'} that the calibration has not used"
     )
     if verification.made_again:
         words += (
