@@ -22,7 +22,7 @@ from calib.report.page import report as report_page
 from calib.report.plots import COLOURS
 from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose
 from calib.report.verdict import judge
-from calib.report.words import command_line, settings_table, short, weak_directions
+from calib.report.words import command_line, settings_table, short, two_digits, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs.command import run
@@ -295,6 +295,13 @@ def test_every_setting_is_told_and_part_of_the_command(name):
 )
 def test_numbers_are_short_and_have_no_exponent(value, words):
     assert short(value) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0.0496, "0.050"), (0.0996, "0.10"), (1.96, "2.0"), (49.4, "49"), (121.4, "120"), (0.0, "0")]
+)
+def test_numbers_side_by_side_have_as_many_digits(value, words):
+    assert two_digits(value) == words
 
 
 def test_residuals_are_grouped(calibrated):

@@ -92,7 +92,10 @@ def test_a_microphone_that_moved_fails(tmp_path, simulated_description, calibrat
     shift_m = found["movement"]["moved"][0]["shift_m"]
     assert np.linalg.norm(np.array(shift_m) - [0.0, 0.003, 0.001]) < 0.001
     assert verify(session, "--calibration", calibration, "--limit-moved-mm", 10, "--overwrite") == 0
-    assert "moved, but by less than 10 mm" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "moved, but by less than 10 mm" in said
+    assert "nothing has moved by more than 10 mm" in said
+    assert "has not moved" not in said
 
 
 def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys):

@@ -42,20 +42,25 @@ def show(verification: Verification, folder: Path, codec: str | None, console: C
 def _show_verdict(verification: Verification, console: Console) -> None:
     verdict = verification.verdict
     if verdict.passed:
-        words = (
-            f"sounds lie on their buzzers, within {verdict.limits.error_deg:g} degrees in the median"
-            f"{'' if verification.movement.doubt else ', and the array has not moved'}"
-        )
-        console.print(_line("PASS", "bold green", words))
+        words = f"sounds lie on their buzzers, within {verdict.limits.error_deg:g} degrees in the median"
+        console.print(_line("PASS", "bold green", words + _unmoved(verification)))
     for failure in verdict.failures:
         console.print(_line("FAIL", "bold red", failure))
+
+
+def _unmoved(verification: Verification) -> str:
+    if verification.movement.doubt:
+        return ""
+    if verification.movement.motions:
+        return f", and nothing has moved by more than {1e3 * verification.verdict.limits.moved_m:g} mm"
+    return ", and the array has not moved"
 
 
 def _origin(verification: Verification) -> Text:
     n_poses, calibration = len(np.unique(verification.pose)), verification.calibration
     words = (
-        f"{verification.located.found.sum()} of {len(verification.row)} sounds located, at {n_poses} poses that the "
-        "calibration has not used"
+        f"{verification.located.found.sum()} of {len(verification.row)} sounds located, at {n_poses} "
+        f"{'pose' if n_poses == 1 else 'poses'} that the calibration has not used"
     )
     if verification.made_again:
         words += (
