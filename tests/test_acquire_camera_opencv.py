@@ -96,6 +96,16 @@ def test_a_folder_without_pictures_and_one_with_a_broken_picture_are_named(tmp_p
         opencv_camera(str(tmp_path)).open()
 
 
+def test_a_folder_that_is_gone_is_one_line_and_no_traceback(tmp_path):
+    camera = opencv_camera(str(tmp_path / "pictures"))
+    (tmp_path / "gone").mkdir()
+    gone = opencv_camera(str(tmp_path / "gone"))
+    (tmp_path / "gone").rmdir()
+    for each, why in ((gone, "cannot be read .No such file"), (camera, "there is no such file or folder")):
+        with pytest.raises(DeviceError, match=why):
+            each.open()
+
+
 def test_another_size_is_refused_with_both_sizes():
     with mjpeg_server(lambda _: jpeg(picture(3, (96, 80)))) as server:
         camera = opencv_camera(server.url)

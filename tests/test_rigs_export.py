@@ -95,6 +95,20 @@ def test_all_emissions(session, tmp_path):
     assert len(list((tmp_path / "all").glob("*.wav"))) == 4
 
 
+def test_all_emissions_leave_out_those_during_which_audio_was_lost(tmp_path, capsys):
+    path = tmp_path / "s1.h5"
+    with new_session(path) as writer:
+        add_pose(writer, 0)
+        writer.append_emission(
+            pose=0, buzzer=BUZZER, repeat=0, waveform="sweep", board_time_s=1.0, host_time_s=1.0,
+            expected_sample=-1, accepted=False,
+        )  # fmt: skip
+    assert rig_session("audio", path, "--all") == 0
+    assert sorted(each.name[:13] for each in (tmp_path / "s1.audio").iterdir()) == ["emission-0000", "emission-0001"]
+    assert "1 of 3 left out" in capsys.readouterr().out
+    assert refused(capsys, "audio", path, "--emission", 2)[0] == 5
+
+
 @pytest.mark.parametrize(
     ("arguments", "exit_code", "words"),
     [

@@ -316,6 +316,15 @@ def test_the_command_tells_what_was_kept_and_dropped(wreck, capsys):
     assert "recovered  from s.h5" in capsys.readouterr().out
 
 
+@pytest.fixture
+def ctrl_c():
+    """See that Ctrl-C is heard: it is ignored where a script runs the tests in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_ctrl_c_is_not_lost_in_a_callback(wreck):
     """An exception in a weak reference's callback goes nowhere: HDF5's objects die at any time."""

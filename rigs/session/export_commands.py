@@ -48,7 +48,7 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("--emission", "emissions", type=Numbers(), help="Which, counted from 0: 12, 3-8 or 1,4,7-9.")
-@click.option("--all", "every", is_flag=True, help="Every emission of the session.")
+@click.option("--all", "every", is_flag=True, help="Every emission whose place in the sound is known.")
 @click.option("--channel", "channels", type=int, multiple=True, help="Only this input channel (may be repeated).")
 @click.option("--before-s", type=click.FloatRange(0, 60), default=0.02, show_default=True, help="Sound before it.")
 @click.option("--after-s", type=click.FloatRange(0, 60), default=0.2, show_default=True, help="Sound after it.")
@@ -73,7 +73,7 @@ def audio(
     if every == (emissions is not None):
         raise click.UsageError("say which: --emission 12, --emission 3-8, or --all")
     with Session.open(file) as session:
-        numbers = list(range(len(session.emissions))) if emissions is None else emissions
+        numbers = _placed(session) if emissions is None else emissions
         for number in numbers or [0]:
             check_emission(session, number)
         if output is not None or not play:
@@ -81,6 +81,15 @@ def audio(
         if play:
             heard = channels or session.channels[:1]
             _play((cut(session, number, heard, before_s, after_s) for number in numbers), session.sample_rate_hz)
+
+
+def _placed(session: Session) -> list[int]:
+    """Return the emissions whose place in the sound is known, and say how many are none; all where all are none."""
+    expected = session.emissions["expected_sample"]
+    placed = [int(number) for number in ((expected >= 0) & (expected < session.n_samples)).nonzero()[0]]
+    if 0 < len(placed) < len(expected):
+        click.echo(f"{len(expected) - len(placed)} of {len(expected)} left out: audio was lost while they sounded")
+    return placed or list(range(len(expected)))
 
 
 def _write(
