@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from calib.publication import Publication
-    from calib.settings import Method, Settings
+    from calib.settings import Block, Method, Settings
     from calib.sound import TdoaMode
 
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
 DIFFER = 5  # the exit code where two results do
 NOT_ALL_GOOD = 5  # of the sessions of --each
 MOST_NAMES = 3  # of sessions, in the name of their result
+RESULT_ENDINGS = {".yaml", ".yml"}
+WITH_EXPORT = {"files", "output", "overwrite", "export", "report"}  # what goes with a result in place of a session
+WITH_COMPARE = {"files", "compare"}
 BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
@@ -104,8 +107,8 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 @click.option(
     "--export",
     metavar="NAMES",
-    help="Write files for other tools: all, or some of acoular,pyroomacoustics,odas,ros2,urdf,kalibr,matlab,csv,json. "
-    "With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
+    help="Write files for other tools: all, or some of acoular, pyroomacoustics, odas, ros2, urdf, kalibr, matlab, "
+    "csv, json, with commas between. With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
 )
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
@@ -118,8 +121,8 @@ def command(
     inspect_tdoa: int | None,
     reference: int | None,
     exclude_channel: tuple[int, ...],
-    hold: tuple[str, ...],
-    exact: tuple[str, ...],
+    hold: tuple[Block, ...],
+    exact: tuple[Block, ...],
     find_delays: bool,
     suggest_poses: int,
     ignore_sync: bool,
@@ -143,12 +146,13 @@ def command(
     from calib.pipeline import calibrate, calibrate_together
     from calib.publication import Publication
     from calib.result import check_result_target, write_calibration
-    from calib.screen import show
+    from calib.screen import show, show_published
     from calib.settings import Settings
     from rigs.session.reader import Session
 
     console = Console()
     if compare:
+        _check_of_results(WITH_COMPARE)
         return _compare(files, console)
     session, each = files[0], each or cluster is not None
     _check_choices(files, one=follow or inspect_tdoa is not None, each=each)
@@ -157,7 +161,8 @@ def command(
         _inspect(session, inspect_tdoa, tdoa, output, console)
         return None
     formats = chosen_formats(export)
-    if session.suffix in {".yaml", ".yml"}:
+    if session.suffix in RESULT_ENDINGS:
+        _check_of_results(WITH_EXPORT)
         _export(files, output, overwrite, formats, console)
         return None
     target = output or _result_path(files)
@@ -185,8 +190,7 @@ def command(
         tell("writing what stands beside the result")
         published = publication.publish(sessions, result, settings)
     show(result, target, console)
-    for line in published:
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    show_published(published, console)
     return None
 
 
@@ -196,6 +200,7 @@ def _export(
     from calib.errors import MethodError
     from calib.publication import Publication
     from calib.result_file import read_result
+    from calib.screen import show_published
 
     result = files[0]
     if len(files) > 1:
@@ -204,8 +209,7 @@ def _export(
         raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
     publication = Publication(output or result, overwrite, report=False, formats=formats)
     publication.check()
-    for line in publication.export_only(read_result(result)):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    show_published(publication.export_only(read_result(result)), console)
 
 
 def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool) -> None:
@@ -215,7 +219,22 @@ def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool) -> None:
 
 def _check_extras(*, each: bool, asked: bool) -> None:
     if each and asked:
-        raise click.UsageError("--each writes results and their table: leave --plots and --export to single sessions")
+        raise click.UsageError(
+            "--each writes results and their table: leave --plots to single sessions, and --export from a result "
+            "afterwards (rig-calibrate SESSION.calib.yaml --export all)"
+        )
+
+
+def _check_of_results(allowed: set[str]) -> None:
+    """Refuse options that need a session where results stand in its place."""
+    from calib.errors import MethodError
+
+    context = click.get_current_context()
+    for option in context.command.params:
+        assert option.name is not None
+        is_given = context.get_parameter_source(option.name) is click.core.ParameterSource.COMMANDLINE
+        if is_given and option.name not in allowed:
+            raise MethodError(f"{option.opts[-1]} does nothing with a result: leave it out, or name the session")
 
 
 def _result_path(sessions: tuple[Path, ...]) -> Path:

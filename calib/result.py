@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import KINDS, Rejection
+from calib.settings import Settings
 from rigs import __version__
 from rigs.description import RigDescription
 from rigs.errors import TargetError, TargetExistsError, reason
@@ -136,6 +137,8 @@ class Calibration:
         What the result does not rest on, and why.
     sessions : tuple of SessionShare
         Where it was made from several; the speed of sound is then their mean.
+    settings : Settings
+        What was chosen, so that it can be made again.
     """
 
     session_name: str
@@ -159,6 +162,7 @@ class Calibration:
     rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
     evidence: Evidence | None = None
+    settings: Settings = field(default_factory=Settings)
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -185,6 +189,7 @@ def as_document(result: Calibration) -> dict[str, Any]:
         "tdoa_sign": TDOA_SIGN,
         "method": result.method,
         "held": list(result.held),
+        "settings": _settings(result.settings),
         "software": SOFTWARE,
         "speed_of_sound_m_s": _rounded(result.speed_of_sound_m_s, 4),
         "speed_of_sound_std_m_s": _rounded(result.speed_of_sound_std_m_s, 4),
@@ -294,6 +299,12 @@ def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
         raise TargetExistsError(f"{path}: there is already something of this name: add --overwrite") from error
     except OSError:  # a file system without hard links
         temporary.rename(path)
+
+
+def _settings(settings: Settings) -> dict[str, Any]:
+    """Return what was chosen besides the method, and what changes nothing of the answer."""
+    chosen = {name: value for name, value in asdict(settings).items() if name not in {"method", "suggest_poses"}}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in chosen.items()}
 
 
 def _rounded(values: Any, digits: int) -> Any:

@@ -11,25 +11,19 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from rigs.waveform import Waveform
+from rigs.section import Channel, Section
+from rigs.signals import Signal
+from rigs.simulation import Simulation
 
 MIN_POSES = 4  # that a session needs before it can be calibrated
 MIN_POSES_FOR_INTRINSICS = 6  # where the camera's intrinsics are to be found from it, too
 
-Channel = Annotated[int, Field(ge=1, le=1024)]
 Length = Annotated[float, Field(gt=0, le=0.5)]
 Coordinate = Annotated[float, Field(ge=-20, le=20)]
 Position = tuple[Coordinate, Coordinate, Coordinate]
 BoardCoordinate = Annotated[float, Field(ge=-2, le=2)]
-RoomSide = Annotated[float, Field(ge=2, le=50)]
-
-
-class Section(BaseModel):
-    """A part of the description: immutable, unknown keys refused, no silent NaN."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class AudioDevice(Section):
@@ -227,61 +221,6 @@ class Trigger(Section):
         return value
 
 
-class SignalTiming(Section):
-    """What all signals share."""
-
-    gap_s: float = Field(0.4, ge=0.05, le=10, description="silence after each emission, longer than the room rings")
-    repeats: int = Field(1, ge=1, le=100, description="emissions of each buzzer per pose")
-
-
-class SweepSignal(SignalTiming):
-    """A square wave that sweeps linearly."""
-
-    kind: Literal["sweep"]
-    start_hz: float = Field(1000.0, ge=50, le=40000)
-    stop_hz: float = Field(8000.0, ge=50, le=40000)
-    duration_s: float = Field(0.1, ge=0.005, le=0.5)
-
-    def waveform(self) -> Waveform:
-        """Return what the buzzer plays."""
-        return Waveform("sweep", self.duration_s, self.start_hz, self.stop_hz)
-
-
-class MlsSignal(SignalTiming):
-    """A maximum-length sequence."""
-
-    kind: Literal["mls"]
-    order: int = Field(10, ge=7, le=13)
-    chip_rate_hz: float = Field(16000.0, ge=1000, le=80000)
-
-    @model_validator(mode="after")
-    def _short_enough(self) -> MlsSignal:
-        duration_s = self.waveform().duration_s
-        if duration_s > 0.5:
-            raise ValueError(f"this sequence lasts {duration_s:.2f} s, the board's limit is 0.5 s: lower the order")
-        return self
-
-    def waveform(self) -> Waveform:
-        """Return what the buzzer plays."""
-        duration_s = (2**self.order - 1) / self.chip_rate_hz
-        return Waveform("mls", duration_s, 0.0, self.chip_rate_hz / 2, self.order, self.chip_rate_hz)
-
-
-class ToneSignal(SignalTiming):
-    """A steady tone: easy, but its arrival is ambiguous by whole periods."""
-
-    kind: Literal["tone"]
-    frequency_hz: float = Field(4000.0, ge=50, le=40000)
-    duration_s: float = Field(0.1, ge=0.005, le=0.5)
-
-    def waveform(self) -> Waveform:
-        """Return what the buzzer plays."""
-        return Waveform("tone", self.duration_s, self.frequency_hz, self.frequency_hz)
-
-
-Signal = Annotated[SweepSignal | MlsSignal | ToneSignal, Field(discriminator="kind")]
-
-
 class Medium(Section):
     """The air: its temperature, or the speed of sound itself, and how well it is known."""
 
@@ -355,44 +294,6 @@ class Calibration(Section):
 
     start_box_m: StartBox = StartBox()
     max_tdoa_s: float = Field(0.005, gt=0, le=0.1, description="no pair of microphones is further apart than this")
-
-
-class Fault(Section):
-    """A fault that the simulated rig makes, to try what the software does about it."""
-
-    kind: Literal[
-        "dead_channel", "silent_buzzer", "loud_channel", "audio_overflow", "board_moves", "trigger_lost", "audio_lost",
-        "camera_lost", "trigger_reset", "camera_frozen", "clock_jump",
-        "weak_channel", "noisy_channel", "humming_channel", "inverted_channel", "duplicate_channel", "swapped_channel",
-        "moved_channel",
-        "blurred", "overexposed",
-    ]  # fmt: skip
-    channel: Channel | None = Field(
-        None, description="faults of a channel: which (and the next one, where it takes two)"
-    )
-    buzzer: int | None = Field(None, ge=1, le=255, description="silent_buzzer: which")
-    pose: int = Field(0, ge=0, description="the first pose (counted from 0) at which it happens")
-    duration_s: float | None = Field(None, gt=0, description="trigger_lost, audio_lost, camera_lost: for how long")
-
-    @model_validator(mode="after")
-    def _names_what_it_hits(self) -> Fault:
-        if self.kind.endswith("_channel") and self.channel is None:
-            raise ValueError(f"fault {self.kind} needs a channel: add 'channel: 3'")
-        if self.kind == "silent_buzzer" and self.buzzer is None:
-            raise ValueError("fault silent_buzzer needs a buzzer: add 'buzzer: 2'")
-        return self
-
-
-class Simulation(Section):
-    """The simulated room, and how the simulated devices differ from ideal ones."""
-
-    seed: int = Field(0, ge=0, le=2**63 - 1)
-    visit: int = Field(0, ge=0, le=1000, description="a later visit to the same rig: other board positions, other air")
-    room_size_m: tuple[RoomSide, RoomSide, RoomSide] = (5.2, 4.3, 2.9)
-    rt60_s: float = Field(0.3, ge=0, le=5, description="time in which the room's echo falls by 60 dB; 0: no echo")
-    snr_db: float = Field(35.0, ge=-20, le=120, description="of the direct sound at 1 m over the microphones' noise")
-    image_noise: float = Field(2.0, ge=0, le=100, description="standard deviation of a pixel, of 255")
-    faults: tuple[Fault, ...] = ()
 
 
 class RigDescription(Section):

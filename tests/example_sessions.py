@@ -78,6 +78,21 @@ def add_pose(writer, pose, accepted=True):
     writer.append_pose(pose=pose, start_host_time_s=1.0, end_host_time_s=2.0, accepted=accepted)
 
 
+def add_frame_and_emission(writer, pose, expected_sample):
+    """Append the picture of a pose and the one emission in it."""
+    writer.append_frame(picture(pose), host_time_s=pose + 0.2, pose=pose)
+    writer.append_emission(
+        pose=pose,
+        buzzer=BUZZER,
+        repeat=0,
+        waveform="sweep",
+        board_time_s=pose + 0.3,
+        host_time_s=pose + 0.3,
+        expected_sample=expected_sample,
+        accepted=True,
+    )
+
+
 def write_session(path, n_poses=2, **changes):
     with new_session(path, **changes) as writer:
         for pose in range(n_poses):

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Semaphore
 
 from crash_images import JOURNAL, SESSION, SYNC_BEGINS, SYNC_DONE
-from example_sessions import BUZZER, TRUTH, new_session, picture, samples
+from example_sessions import TRUTH, add_frame_and_emission, new_session, samples
 
 from rigs.session import durability
 
@@ -67,17 +67,7 @@ def main(folder: Path, n_poses: int) -> None:
 
 def add_rest_of_pose(writer, pose: int) -> None:
     """Append all of a pose but its sound."""
-    writer.append_frame(picture(pose), host_time_s=pose + 0.2, pose=pose)
-    writer.append_emission(
-        pose=pose,
-        buzzer=BUZZER,
-        repeat=0,
-        waveform="sweep",
-        board_time_s=pose + 0.3,
-        host_time_s=pose + 0.3,
-        expected_sample=1024 * BLOCKS * pose,
-        accepted=True,
-    )
+    add_frame_and_emission(writer, pose, expected_sample=1024 * BLOCKS * pose)
     writer.append_pose(pose=pose, start_host_time_s=pose + 0.2, end_host_time_s=pose + 0.9, accepted=True)
     writer.append_log(float(pose), "info", f"line {pose}")
 

@@ -13,8 +13,9 @@ from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.flaws import Flaws
 from calib.joint.arrivals import ArrivalTable
-from calib.joint.assemble import assemble, corner_std_m, n_corners
+from calib.joint.assemble import assemble
 from calib.joint.corners import CornerTable
+from calib.joint.priors import corner_std_m, n_corners
 from calib.joint.problem import JointProblem, Weights
 from calib.joint.robust import JointSolution, solve_robustly
 from calib.joint.start import find_start

@@ -201,6 +201,18 @@ def test_a_result_alone_needs_an_export(result, capsys):
     assert "a result, not a session" in refusal(capsys, result)
 
 
+@pytest.mark.parametrize(
+    "arguments", [("--plots", "png"), ("--method", "ours-2"), ("--suggest-poses", 2), ("--hold", "speed")]
+)
+def test_what_needs_the_session_is_refused_with_a_result(result, capsys, arguments):
+    error = refusal(capsys, result, "--export", "all", *arguments)
+    assert f"{arguments[0]} does nothing with a result" in error
+
+
+def test_a_comparison_takes_nothing_else(result, capsys):
+    assert "--export does nothing with a result" in refusal(capsys, result, result, "--compare", "--export", "csv")
+
+
 def edited(change):
     def edit(text: str) -> str:
         document = yaml.safe_load(text)

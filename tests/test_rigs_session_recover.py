@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from example_sessions import BUZZER, TRUTH, measured, new_session, picture, samples, write_session
+from example_sessions import TRUTH, add_frame_and_emission, measured, new_session, picture, samples, write_session
 
 from rigs.cli import cli
 from rigs.command import run
@@ -30,17 +30,7 @@ PER_POSE = 6  # blocks: the sweep of 0.1 s fits in
 def add_pose(writer, pose):
     for block in range(PER_POSE):
         writer.append_audio(samples(PER_POSE * pose + block, BLOCK), host_time_s=pose + 0.1 * block, adc_time_s=0.5)
-    writer.append_frame(picture(pose), host_time_s=pose + 0.2, pose=pose)
-    writer.append_emission(
-        pose=pose,
-        buzzer=BUZZER,
-        repeat=0,
-        waveform="sweep",
-        board_time_s=pose + 0.3,
-        host_time_s=pose + 0.3,
-        expected_sample=PER_POSE * BLOCK * pose,
-        accepted=True,
-    )
+    add_frame_and_emission(writer, pose, expected_sample=PER_POSE * BLOCK * pose)
 
 
 def end_pose(writer, pose):

@@ -14,6 +14,7 @@ from acquire.devices.camera_recorded import Paced, PictureFolder
 from acquire.devices.camera_source import CameraSource, SourceKind, camera_source
 from acquire.devices.camera_stream import Pictures, PictureStream
 from acquire.devices.frame_queue import FrameQueue
+from acquire.devices.jpeg_complaints import Quiet
 from acquire.errors import DeviceError
 from rigs.description import Camera
 
@@ -130,19 +131,21 @@ class OpenCvCamera:
         source, fps = self._source, self._description.fps
         self._driver, self._told_fps = "opencv", fps
         if source.kind is SourceKind.FOLDER:
-            return Paced(PictureFolder(Path(str(source.place))), fps)
+            return Paced(Quiet(PictureFolder(Path(str(source.place)))), fps)
         capture = _opened(source)
         self._driver = f"opencv-{capture.getBackendName().lower()}"
         if source.kind is SourceKind.FILE:
             self._told_fps = capture.get(cv2.CAP_PROP_FPS) or fps
             return Paced(capture, self._told_fps)
-        if source.kind is SourceKind.DEVICE:
-            _choose_mode(capture, self._description)
-            refusals = lock_controls(capture, self._description.exposure)
-        else:
-            refusals = [_LOCKED_ELSEWHERE] if self._description.exposure.locked else []
-        self.warnings += [f"{source.label}: {refusal}" for refusal in refusals]
-        return capture
+        if source.kind is SourceKind.ADDRESS:
+            self._warn([_LOCKED_ELSEWHERE] if self._description.exposure.locked else [])
+            return capture
+        _choose_mode(capture, self._description)
+        self._warn(lock_controls(capture, self._description.exposure))
+        return Quiet(capture)
+
+    def _warn(self, refusals: list[str]) -> None:
+        self.warnings += [f"{self._source.label}: {refusal}" for refusal in refusals]
 
     def _check_size(self, frame: Frame) -> None:
         height, width = frame.image.shape[:2]

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from acquire.devices.base import Frame
 from acquire.devices.camera_backlog import Backlog, Sleep
 from acquire.devices.frame_queue import FrameQueue
-from acquire.devices.jpeg_complaints import no_jpeg_complaints
 from acquire.errors import DeviceError
 
 Picture = NDArray[np.uint8]
@@ -174,8 +173,7 @@ class PictureStream:
         is_due = queue is not None and queue.is_due(now_s)
         if self._wanted or is_due or now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
-            with no_jpeg_complaints():
-                good, picture = pictures.retrieve()
+            good, picture = pictures.retrieve()
             if good:  # one damaged picture is no loss: the next is awaited
                 frame = Frame(np.asarray(picture, dtype=np.uint8), now_s)
                 self._take(frame)

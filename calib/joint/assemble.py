@@ -1,8 +1,7 @@
-"""The joint problem of a session: its measurements, and what its rig description says beforehand."""
+"""The joint problem of a session, put together from its measurements and its rig description."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,23 +15,17 @@ from calib.joint.corners import CornerTable
 from calib.joint.held import CornerFit
 from calib.joint.onsets import OnsetTable
 from calib.joint.pairs import arrivals_of_pairs
-from calib.joint.problem import JointProblem, Priors
+from calib.joint.priors import described_priors, n_corners, with_held
+from calib.joint.problem import JointProblem
 from calib.joint.robust import JointSolution
-from calib.joint.unknowns import Blocks, Unknowns
+from calib.joint.unknowns import Unknowns
 from rigs.board import board_corners_m
-from rigs.description import Board, Camera, Intrinsics, Medium, RigDescription
+from rigs.description import Intrinsics, Medium, RigDescription
 
 FloatArray = NDArray[np.float64]
 
 CORNER_STD_PX = 0.1  # only a first value: the scale is found from the residuals
 LEAST_ARRIVAL_STD_S = 1e-8  # corners and poses are no better than that
-LATENCY_STD_S = 5e-3  # of a buzzer after the sync output, its filter's delay included
-DELAY_STD_S = 1e-3  # where delays are to be found
-# Of intrinsics that the rig description gives: lenses move with focus, temperature and every new calibration.
-GIVEN_FOCAL_SHARE, GIVEN_PRINCIPAL_SHARE, GIVEN_RADIAL = 0.02, 0.02, 0.1
-# Of intrinsics found from the session: hardly a prior, but it keeps what nothing else tells from running away.
-FOUND_FOCAL_SHARE, FOUND_PRINCIPAL_SHARE, FOUND_RADIAL = 0.5, 0.2, 1.0
-TANGENTIAL = 0.005  # of any lens: its elements are centred to a few hundredths of a millimetre
 
 
 @dataclass(frozen=True)
@@ -113,6 +106,23 @@ def assemble(
     -------
     JointProblem, and Unknowns to start from; the microphones to be found are at the origin.
     """
+    start = _start(description, view, channels, media)
+    table = arrival_table(description, view, tdoas, nodes(description, channels))
+    onsets = None if ignore_sync else _onset_table(view, tdoas, table, len(description.board.buzzers))
+    if onsets is not None:
+        start = start.with_latencies(start.blocks.n_sessions * start.blocks.n_buzzers)
+    priors = described_priors(start, description, media, find_delays=find_delays)
+    priors = with_held(priors, start.blocks, hold=hold, exact=exact)
+    seen = CornerTable(
+        board_corners_m(description.board), corners.corners_px[np.isin(corners.pose, view.pose)], CORNER_STD_PX
+    )
+    fit = None
+    if {"intrinsics", "poses"} & {*hold, *exact} and "poses" not in exact:
+        fit = CornerFit.of(seen, start, camera_found=view.source == "session")
+    return JointProblem(table, None if priors.poses_held else seen, priors, onsets, fit), start
+
+
+def _start(description: RigDescription, view: View, channels: tuple[int, ...], media: tuple[Medium, ...]) -> Unknowns:
     reference = description.audio.reference_microphone
     known_m = np.array([] if reference is None else reference.position_m, dtype=float).reshape(-1, 3)
     start = Unknowns.of(
@@ -123,30 +133,7 @@ def assemble(
         view.board_to_camera,
         n_corners(description.board),
     )
-    start = _in_media(start, media) if media else start
-    table = arrival_table(description, view, tdoas, nodes(description, channels))
-    onsets = None if ignore_sync else _onset_table(view, tdoas, table, len(description.board.buzzers))
-    if onsets is not None:
-        start = start.with_latencies(start.blocks.n_sessions * start.blocks.n_buzzers)
-    std = _prior_std(start.blocks, description)
-    std[start.blocks.latencies] = LATENCY_STD_S
-    std[start.blocks.speed] = [medium.speed_std_m_s() for medium in media or (description.medium,)]
-    if reference is not None:
-        std[start.blocks.microphone(len(channels))] = reference.position_std_m
-    std[start.blocks.delays] = DELAY_STD_S if find_delays else 0.0
-    held = np.zeros(start.blocks.size, dtype=bool)
-    for name in {*hold, *exact} - {"poses"}:
-        held[_named(start.blocks, name)] = True
-    for name in set(exact) - {"poses"}:
-        std[_named(start.blocks, name)] = 0.0
-    priors = Priors(start.shared, std, poses_held="poses" in {*hold, *exact}, held=held)
-    seen = CornerTable(
-        board_corners_m(description.board), corners.corners_px[np.isin(corners.pose, view.pose)], CORNER_STD_PX
-    )
-    fit = None
-    if {"intrinsics", "poses"} & {*hold, *exact} and "poses" not in exact:
-        fit = CornerFit.of(seen, start, camera_found=view.source == "session")
-    return JointProblem(table, None if priors.poses_held else seen, priors, onsets, fit), start
+    return _in_media(start, media) if media else start
 
 
 def _onset_table(view: View, tdoas: EmissionTdoas, table: ArrivalTable, n_buzzers: int) -> OnsetTable | None:
@@ -199,45 +186,3 @@ def emission_rows(view: View, tdoas: EmissionTdoas) -> NDArray[np.intp]:
 def camera_vector(intrinsics: Intrinsics) -> FloatArray:
     """Return intrinsics (9,) in the order of CAMERA_VALUES."""
     return np.array([*intrinsics.focal_px, *intrinsics.principal_px, *intrinsics.distortion])
-
-
-def _prior_std(blocks: Blocks, description: RigDescription) -> FloatArray:
-    board = description.board
-    std = np.full(blocks.size, np.inf)
-    std[blocks.buzzers] = board.buzzer_std_m
-    std[blocks.scale] = board.square_size_std_m / board.square_size_m
-    std[blocks.camera] = camera_std(description.camera)
-    std[blocks.corners] = np.tile(corner_std_m(board), blocks.n_corners)
-    return std
-
-
-def n_corners(board: Board) -> int:
-    """Return how many corners may be elsewhere than on a perfect board."""
-    return math.prod(board.corners) if corner_std_m(board).any() else 0
-
-
-def corner_std_m(board: Board) -> FloatArray:
-    """Return how far corners may be from their places on a perfect board: standard deviations (3,), board frame."""
-    return np.array([board.print_std_m, board.print_std_m, board.flatness_std_m])
-
-
-def camera_std(camera: Camera) -> FloatArray:
-    """Return how well intrinsics (9,) are known beforehand."""
-    width = camera.size_px[0]
-    if isinstance(camera.intrinsics, Intrinsics):
-        focal_px = GIVEN_FOCAL_SHARE * np.array(camera.intrinsics.focal_px)
-        principal_px, radial = GIVEN_PRINCIPAL_SHARE * width, GIVEN_RADIAL
-    else:
-        focal_px = np.full(2, FOUND_FOCAL_SHARE * width)
-        principal_px, radial = FOUND_PRINCIPAL_SHARE * width, FOUND_RADIAL
-    return np.array([*focal_px, *[principal_px] * 2, *[radial] * 2, *[TANGENTIAL] * 2, 0.0])
-
-
-def _named(blocks: Blocks, name: str) -> slice:
-    return {
-        "speed": blocks.speed,
-        "buzzers": blocks.buzzers,
-        "scale": blocks.scale,
-        "intrinsics": blocks.camera,
-        "corners": blocks.corners,
-    }[name]

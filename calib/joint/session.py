@@ -14,7 +14,7 @@ from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
 from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
-from calib.joint.assemble import PairTdoas, assemble, camera_std, emission_rows, nodes, pair_tdoas
+from calib.joint.assemble import PairTdoas, assemble, emission_rows, nodes, pair_tdoas
 from calib.joint.bias import without_bias
 from calib.joint.continuation import Continuation
 from calib.joint.contradictions import check_held_intrinsics, check_suspects
@@ -22,6 +22,7 @@ from calib.joint.heldout import hold_out
 from calib.joint.next_pose import Suggestion, suggest_poses
 from calib.joint.observability import observability_doubts, weakest_motion
 from calib.joint.pairs import arrivals_that_agree
+from calib.joint.priors import camera_std
 from calib.joint.problem import JointProblem
 from calib.joint.refusal import check_determined
 from calib.joint.robust import JointSolution, solve_robustly
@@ -92,26 +93,13 @@ def answer_jointly(
     doubts = suspect_doubts(suspects, solution, description, channels)
     check_suspects(suspects, doubts)
     chosen = pair_tdoas(view, tdoas, nodes(description, channels))
-    if chosen.alone:
-        solution = _with_pairs_that_fit(solution, chosen)
-    problem = solution.problem
-    covariance = shared_covariance(problem, solution.at, solution.weights())
-    check_determined(solution, covariance, len(channels))
-    if problem.onsets is None and microphone_rms_m(covariance, len(channels)) > BIASED_STD_M:
-        solution = replace(solution, at=without_bias(problem, solution.at, solution.weights()))
-    fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
-    at = solution.at
+    solution, covariance = _refined(solution, chosen, len(channels))
     strays = stray_doubts(solution, posed((), ())[0]) if settings.holds else []
-    return Answer(
-        microphones_m=at.microphones_m[: len(channels)],
-        array_covariance_m2=covariance[: 3 * len(channels), : 3 * len(channels)],
-        speed_of_sound_m_s=at.speed_m_s,
-        speed_of_sound_std_m_s=float(np.sqrt(covariance[at.blocks.speed, at.blocks.speed].mean())),
-        view=refined_view(view, solution),
-        residual=fitted.residual(),
+    doubts = [*_rival_doubts(solution.at.microphones_m, rival_m, channels), *strays, *doubts]
+    fitted = replace(_fitted_tdoas(solution, chosen), pose_names=tdoas.pose_names)
+    return replace(
+        _plain_answer(solution, covariance, view, fitted, len(channels)),
         warnings=[
-            *_rival_doubts(at.microphones_m, rival_m, channels),
-            *strays,
             *doubts,
             *fit_doubts(description, fitted),
             *observability_doubts(solution, covariance, description.camera, channels),
@@ -122,10 +110,6 @@ def answer_jointly(
             *_poses_without_place(view, corners, tdoas),
             *solve_rejections(solution, tdoas, emission_rows(view, tdoas), nodes(description, channels)),
         ],
-        weakest=weakest_motion(solution, covariance, len(channels)),
-        continuation=Continuation(at, view.pose, solution.scales.arrivals),
-        speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
-        speed_stds_m_s=tuple(np.sqrt(np.diag(covariance)[at.blocks.speed]).tolist()),
         evidence=_evidence(solution, chosen, corners.only(np.isin(corners.pose, view.pose)), len(channels)),
     )
 
@@ -140,6 +124,37 @@ def _solved(
             return solution, None
     start = find_start(problem, guess, settings.seed)
     return solve_robustly(problem, start.at), start.rival_m
+
+
+def _refined(solution: JointSolution, chosen: PairTdoas, n_mics: int) -> tuple[JointSolution, FloatArray]:
+    """Return the solution on the pairs that fit, without its bias, and the covariance of what all poses share."""
+    if chosen.alone:
+        solution = _with_pairs_that_fit(solution, chosen)
+    covariance = shared_covariance(solution.problem, solution.at, solution.weights())
+    check_determined(solution, covariance, n_mics)
+    if solution.problem.onsets is None and microphone_rms_m(covariance, n_mics) > BIASED_STD_M:
+        solution = replace(solution, at=without_bias(solution.problem, solution.at, solution.weights()))
+    return solution, covariance
+
+
+def _plain_answer(
+    solution: JointSolution, covariance: FloatArray, view: View, fitted: FittedTdoas, n_mics: int
+) -> Answer:
+    """Return what came out, without judging it."""
+    at = solution.at
+    speed_variances = np.diag(covariance)[at.blocks.speed]
+    return Answer(
+        microphones_m=at.microphones_m[:n_mics],
+        array_covariance_m2=covariance[: 3 * n_mics, : 3 * n_mics],
+        speed_of_sound_m_s=at.speed_m_s,
+        speed_of_sound_std_m_s=float(np.sqrt(speed_variances.mean())),
+        view=refined_view(view, solution),
+        residual=fitted.residual(),
+        weakest=weakest_motion(solution, covariance, n_mics),
+        continuation=Continuation(at, view.pose, solution.scales.arrivals),
+        speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
+        speed_stds_m_s=tuple(np.sqrt(speed_variances).tolist()),
+    )
 
 
 def refined_view(view: View, solution: JointSolution) -> View:

@@ -9,6 +9,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib.joint.next_pose import ONE_AFTER_ANOTHER
 from calib.joint.observability import board_tilts_deg
 from calib.rejections import KINDS, Rejection
 from calib.report.geometry import MOST_BOARDS
@@ -75,6 +76,7 @@ def report(sessions: list[Session], result: Calibration, settings: Settings, res
         sound_flaws=_sound_flaws(result),
         truth=_truth(result),
         meanings=MEANINGS,
+        one_after_another=ONE_AFTER_ANOTHER,
         command=command_line([session.path.name for session in sessions], result_name, settings),
         fit=_fit(result),
         settings=settings_table(settings),
@@ -94,10 +96,10 @@ def _figures(result: Calibration) -> list[tuple[str, str, str]]:
     figures = [
         ("Microphones", str(len(result.channels)), f"from {len(result.view.pose)} board positions"),
         ("Standard deviation of a microphone", f"{short(std_mm)}", "mm, root mean square"),
-        ("Scatter of the TDOAs", f"{short(1e6 * result.residual.robust_sigma_s, 3)}", "µs"),
+        ("Scatter of the TDOAs", f"{short(1e6 * result.residual.robust_sigma_s)}", "µs"),
     ]
     if result.held_out is not None:
-        figures.append(("The same, held-out poses", f"{short(1e6 * result.held_out.robust_sigma_s, 3)}", "µs"))
+        figures.append(("The same, held-out poses", f"{short(1e6 * result.held_out.robust_sigma_s)}", "µs"))
     figures.append(("Corners of the board", f"{short(result.view.rms_px)}", "px rms"))
     if result.evaluation is not None:
         figures.append(("Error against the truth", f"{short(1e3 * result.evaluation.rmse_m)}", "mm rms"))

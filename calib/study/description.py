@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from rigs.description import Position, Section
+from rigs.description import Position
+from rigs.section import Section
 
 MethodName = Literal["ours-1", "ours-2", "ours-3", "search", "legg-2013", "joint"]
 WITH_KNOWN = ("ours-3", "search", "legg-2013")  # methods that need a microphone at a known place

@@ -86,9 +86,7 @@ def _cells(spread: Spread) -> list[str]:
 def _movement(verification: Verification) -> Table:
     movement, limit_mm = verification.movement, 1e3 * verification.verdict.limits.moved_m
     if movement.doubt:
-        return _line(
-            "?", "bold yellow", f"whether the array has moved cannot be told: {movement.doubt}; more poses help"
-        )
+        return _line("?", "bold yellow", f"whether the array has moved since is not told: {movement.doubt}")
     resolved = f"a microphone that moved alone would show from {1e3 * movement.resolution_m:.1f} mm on"
     slight = [motion.sentence() for motion in movement.motions if motion not in verification.verdict.alarms]
     if slight:

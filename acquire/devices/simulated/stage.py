@@ -11,8 +11,8 @@ import numpy as np
 from acquire.devices.base import Clock
 from acquire.devices.simulated.draws import draws
 from acquire.devices.simulated.scene import Scene
-from rigs.description import Fault
 from rigs.geometry import Pose, rotation_matrix
+from rigs.simulation import Fault
 from rigs.waveform import Waveform
 
 _REACTION_S = 0.3
