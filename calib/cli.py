@@ -220,8 +220,8 @@ def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool) -> None:
 def _check_extras(*, each: bool, asked: bool) -> None:
     if each and asked:
         raise click.UsageError(
-            "--each and --cluster write results and their table: leave --plots to single sessions, and --export from a result "
-            "afterwards (rig-calibrate SESSION.calib.yaml --export all)"
+            "--each and --cluster write results and their table: leave --plots to single sessions, and --export from a "
+            "result afterwards (rig-calibrate SESSION.calib.yaml --export all)"
         )
 
 
