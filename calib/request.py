@@ -67,8 +67,8 @@ class Request:
             raise click.UsageError("--follow and --inspect-tdoa take one session")
         if self.one_by_one and (self.plots or self.export):
             raise click.UsageError(
-                "--each writes results and their table: leave --plots to single sessions, and --export from a result "
-                "afterwards (rig-calibrate SESSION.calib.yaml --export all)"
+                "--each and --cluster write results and their table: leave --plots to single sessions, and --export "
+                "from a result afterwards (rig-calibrate SESSION.calib.yaml --export all)"
             )
 
     @property

@@ -83,7 +83,7 @@ def test_a_cluster_calibrates_a_fleet(fleet_of_three, rig_calibrate, tmp_path):
 def test_wrong_usage_is_told(fleet_of_three, rig_calibrate, tmp_path):
     for words, arguments in {
         "take one session": ("--each", "--follow"),
-        "leave --plots to single sessions, and --export from a result": ("--cluster", "tcp://127.0.0.1:1", "--plots", "svg"),
+        "leave --plots to single sessions": ("--cluster", "tcp://127.0.0.1:1", "--plots", "svg"),
     }.items():
         exit_code, _, err = rig_calibrate(*arguments, *fleet_of_three)
         assert exit_code == 2

@@ -132,6 +132,7 @@ class StudyFolder:
             return
         if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
             raise FolderError(f"{self.path}: is there already and holds no study: name another folder with -o")
+        make_folder(self.path)
         make_folder(self.path / "parts")
         self.write_text("study.yaml", study_text(self.study))
         self.write_text(MANIFEST, json.dumps(manifest, indent=1) + "\n")

@@ -70,6 +70,12 @@ def noise_kinds(noises: dict[str, Noise]) -> dict[str, str]:
     return {name: ", ".join(word for word in words if word not in common) for name, words in told.items()}
 
 
+def noise_words(noise: Noise) -> str:
+    """Return a noise in words, its scale first."""
+    scale = "" if isinstance(noise, MeasuredNoise) else f"{1e6 * noise.scale_s:.4g} us "
+    return scale + ", ".join(_told(noise))
+
+
 def _told(noise: Noise) -> list[str]:
     if isinstance(noise, MeasuredNoise):
         return ["measured"]

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from calib.methods import MAX_REACH_M
-from calib.study.labels import Labels
+from calib.study.labels import Labels, noise_words
 from calib.study.run import FinishedStudy
 from calib.study.summary import CaseSummary
 
@@ -23,7 +23,8 @@ FIGURES = {
     "settled": f"Convergence rate: repetitions that converged, within {MAX_REACH_M:g} m",
     "at_optimum": "Optimum rate: repetitions that ended within 1 mm of where a start at the true places ends",
 }
-IN_TERMINAL = ("paper_rmse_m", "rmse_m", "bound_m", "median_m", "at_optimum")
+IN_TERMINAL = ("paper_rmse_m", "rmse_m", "bound_m", "median_m", "settled", "at_optimum")
+OF_CONVERGED = ("paper_rmse_m", "rmse_m")
 MOST_COLUMNS = 6  # of a table, in the terminal
 NEVER_MM = 1e5  # more says only that some repetition ran away
 STAND_IN = (
@@ -37,15 +38,8 @@ Row = tuple[str, str, int]  # name, method, repetitions
 
 def study_page(finished: FinishedStudy, item: str | None = None) -> str:
     """Return all figures of a study, with those printed for an item of the paper."""
-    study, labels = finished.folder.study, Labels.of(each.case for each in finished.summaries)
-    across = "number of poses, a random subset for each repetition" if labels.along == "n_poses" else "noise"
-    lines = [f"## {study.title or study.name}", ""]
-    lines += [
-        f"`{study.name}`, seed {study.seed}. Columns of the tables: n, the number of repetitions; then {across}.",
-        "",
-    ]
-    lines += [line for remark in remarks(finished) for line in (f"**Note:** {remark}.", "")]
-    return "\n".join([*lines, *_tables(finished, item, tuple(FIGURES), _columns(finished, labels))])
+    columns = _columns(finished, Labels.of(each.case for each in finished.summaries))
+    return "\n".join([*_head(finished), *_tables(finished, item, tuple(FIGURES), columns)])
 
 
 def terminal_page(finished: FinishedStudy, item: str | None = None) -> str:
@@ -82,6 +76,22 @@ def printed(item: str) -> dict[str, dict[str, float]]:
     return {method: dict(zip(noises, values, strict=True)) for method, values in methods.items()}
 
 
+def _head(finished: FinishedStudy) -> list[str]:
+    """Return title, what the columns of the tables are, and what must be known of the figures."""
+    study, cases = finished.folder.study, [each.case for each in finished.summaries]
+    of_poses = Labels.of(cases).along == "n_poses"
+    across = "number of poses, a random subset for each repetition" if of_poses else "noise"
+    used = {case.noise for case in cases}
+    noises = [f"*{name}*: {noise_words(noise)}" for name, noise in study.noises.items() if name in used]
+    paragraphs = [
+        f"## {study.title or study.name}",
+        f"`{study.name}`, seed {study.seed}. Columns of the tables: n, the number of repetitions; then {across}.",
+        f"Noise: {'; '.join(noises)}.",
+        *(f"**Note:** {remark}." for remark in remarks(finished)),
+    ]
+    return [line for paragraph in paragraphs for line in (paragraph, "")]
+
+
 def _columns(finished: FinishedStudy, labels: Labels) -> list[str]:
     return list(dict.fromkeys(labels.column(each.case) for each in finished.summaries))
 
@@ -90,7 +100,9 @@ def _tables(finished: FinishedStudy, item: str | None, figures: tuple[str, ...],
     lines = []
     for name in figures:
         rows = {} if name == "paper_rmse_m" and item is None else _pivot(finished.summaries, name)
-        if rows:
+        if rows and all(cell == "100 %" for cells in rows.values() for cell in cells.values()):
+            lines += [f"**{FIGURES[name]}**: 100 % throughout.", ""]
+        elif rows:
             shown = printed(item) if name == "paper_rmse_m" and item else {}
             lines += [f"**{FIGURES[name]}**", "", *_markdown(rows, shown, columns), ""]
     return lines
@@ -102,6 +114,8 @@ def _pivot(summaries: list[CaseSummary], figure: str) -> dict[Row, dict[str, str
     share = figure in ("settled", "at_optimum")
     for summary in summaries:
         value = getattr(summary, figure)
+        if figure in OF_CONVERGED and summary.settled == 0:
+            value = np.inf
         if np.isnan(value):
             continue
         cells = rows.setdefault((labels.row(summary.case), summary.case.method, summary.n), {})

@@ -72,10 +72,10 @@ def make_items(
 def finish(finished: FinishedStudy, console: Console, item: str | None = None) -> str:
     """Write and print the page of a study, and draw its figures; return the page."""
     page, folder = study_page(finished, item), finished.folder.path.name
-    for path, caption in draw_study(finished, item):
-        page += f"\n![{path.stem}]({folder}/{path.name})\n\n*{caption}*\n"
-    finished.folder.write_text("page.md", page.replace(f"]({folder}/", "]("))
     title = finished.folder.study.title or finished.folder.study.name
+    for path, caption in draw_study(finished, item):
+        page += f"\n![{title}: {path.stem}]({folder}/{path.name})\n\n*{caption}*\n"
+    finished.folder.write_text("page.md", page.replace(f"]({folder}/", "]("))
     console.print(Markdown(f"# {title}\n\n{terminal_page(finished, item)}"))
     console.print(f"[bold]Written:[/bold] {escape(str(finished.folder.path))}", soft_wrap=True)
     return page

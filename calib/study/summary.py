@@ -30,7 +30,7 @@ class CaseSummary:
     n : int
         Repetitions.
     rmse_m, paper_rmse_m : float
-        Roots of the mean squares over the repetitions that came to rest nearby: one that ran away would be all of it.
+        Roots of the mean squares over the repetitions that converged nearby: one that ran away would be all of it.
         The paper's figure leaves microphone 8 out.
     median_m, lower_m, upper_m : float
         Median and quartiles of all repetitions' root mean square errors.
@@ -39,7 +39,7 @@ class CaseSummary:
     bound_m : float
         Cramer-Rao bound.
     settled, at_optimum : float
-        Shares: came to rest nearby; where a start at the truth leads to.
+        Shares: converged nearby; where a start at the truth leads to.
     """
 
     case: Case
