@@ -11,6 +11,7 @@ import hashlib
 import os
 import tempfile
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from calib.flaws import Flaw, Flaws
 from calib.sound import SoundArrivals, TdoaMode
 from rigs import __version__
 
+DAMAGED = (OSError, ValueError, KeyError, EOFError, IndexError, RuntimeError, zipfile.BadZipFile, zlib.error)
 VERSION = 3  # changes whenever arrivals come out differently
 SUFFIX = ".arrivals.npz"
 
@@ -52,7 +54,7 @@ class ArrivalCache:
                     str(file["mode"]), rows, channels, arrival_s, file["std_s"], flaws, file["quality"],
                     *((file["onset_s"], file["onset_std_s"]) if "onset_s" in file else ()),
                 )  # fmt: skip
-        except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile):
+        except DAMAGED:
             return None
 
     def save(self, sound: SoundArrivals, mode: TdoaMode) -> None:
@@ -96,5 +98,5 @@ class ArrivalCache:
         try:
             with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 return {"key", "arrival_s", "masks"} <= set(file.files)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        except DAMAGED:
             return False

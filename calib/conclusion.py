@@ -44,6 +44,7 @@ def conclude(parts: list[Measured], channels: tuple[int, ...], answer: Answer, s
         sessions=tuple(shares) if len(parts) > 1 else (),
         sound=parts[0].sound if len(parts) == 1 else None,
         warnings=_doubts(parts, channels, answer),
+        settings=settings,
     )
 
 

@@ -32,7 +32,7 @@ class PoseCorners:
     Parameters
     ----------
     pose : (n_poses,) integer array
-        The session's numbers of these poses.
+        The session's numbers of these poses, ascending.
     corners_px : (n_poses, n_corners, 2) array
         Mean over frames of the pose; NaN for hidden corners.
     left_out : dict of int to str
@@ -69,19 +69,20 @@ def find_pose_corners(session: Session, seen: SeenPoses | None = None, *, min_po
     NotEnoughDataError
         The session has too few poses, or the board was found in too few of them.
     """
-    accepted = [int(row["pose"]) for row in session.poses if row["accepted"]]
+    accepted = sorted(int(row["pose"]) for row in session.poses if row["accepted"])
     needed = session.description.min_poses if min_poses is None else min_poses
     note = f" ({MIN_POSES} with camera.intrinsics in the rig description)" if needed > MIN_POSES else ""
     if len(accepted) < needed:
         raise NotEnoughDataError(
-            f"the session has {len(accepted)} accepted poses, at least {needed} are needed{note}: capture a session "
-            "with more, 25 are good"
+            f"the session has {len(accepted)} accepted {'pose' if len(accepted) == 1 else 'poses'}, at least {needed} "
+            f"are needed{note}: capture a session with more, 25 are good"
         )
     measured = session.corners_px
     if measured is None:
         found = _seen_corners(session, accepted, {} if seen is None else seen)
     else:
-        rows = session.poses["accepted"] == 1
+        rows = np.flatnonzero(session.poses["accepted"])
+        rows = rows[np.argsort(session.poses["pose"][rows])]
         found = PoseCorners(session.poses["pose"][rows], measured[rows])
     found = _with_enough_corners(found)
     if len(found.pose) < needed:

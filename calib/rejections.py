@@ -112,9 +112,10 @@ def solve_rejections(
 
 
 def _measured(tdoas: EmissionTdoas, rows: NDArray[np.intp], channels: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Tell which channels (n_emissions, n_mics) have any TDOA."""
-    present = np.isfinite(tdoas.tdoa_s[rows])
-    return np.stack([present[:, (tdoas.pairs == channel).any(axis=1)].any(axis=1) for channel in channels], axis=1)
+    """Tell which channels (n_emissions, n_mics) have any TDOA against another of them."""
+    among = np.isin(tdoas.pairs, channels).all(axis=1)
+    present, pairs = np.isfinite(tdoas.tdoa_s[np.ix_(rows, among)]), tdoas.pairs[among]
+    return np.stack([present[:, (pairs == channel).any(axis=1)].any(axis=1) for channel in channels], axis=1)
 
 
 def session_rejections(session: Session, corners: PoseCorners, tdoas: EmissionTdoas) -> list[Rejection]:

@@ -12,10 +12,12 @@ from rich.table import Table
 from rich.text import Text
 
 from calib.evaluation import Evaluation
+from calib.joint.next_pose import ONE_AFTER_ANOTHER
 from calib.rejections import KINDS, Rejection
 from calib.result import Calibration
 
 NARROWEST = 76
+VERDICTS = {"good": "bold green", "usable": "bold yellow", "do not use": "bold red"}
 WORST = 4  # of what was left out, told by name
 
 
@@ -29,10 +31,19 @@ def show(result: Calibration, path: Path, console: Console) -> None:
         console.print(_evaluation_table(result.evaluation))
         console.print()
     for warning in result.warnings:
-        console.print(_warning(warning))
+        console.print(_line("!", "bold yellow", warning))
+    if result.suggestions:
+        console.print(f"Board positions that would help most; {ONE_AFTER_ANOTHER}:")
     for number, suggestion in enumerate(result.suggestions, start=1):
-        console.print(f"next pose {number}: {escape(suggestion.sentence())}")
+        console.print(_line(f"{number}.", "bold", suggestion.sentence()))
     console.print(f"Written: {escape(str(path))}", soft_wrap=True, highlight=False)
+
+
+def show_published(lines: list[str], console: Console) -> None:
+    """Print the verdict, and what was written beside the result; its lines stay whole, so that names can be copied."""
+    for line in lines:
+        style = next((style for level, style in VERDICTS.items() if line.startswith(f"Verdict: {level}.")), "")
+        console.print(Text(line, style), soft_wrap=not style)
 
 
 def _microphone_table(result: Calibration) -> Table:
@@ -121,9 +132,9 @@ def _evaluation_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def _warning(text: str) -> Table:
+def _line(mark: str, style: str, text: str) -> Table:
     line = Table.grid(padding=(0, 1))
-    line.add_row(Text("!", style="bold yellow"), Text(text))
+    line.add_row(Text(mark, style=style), Text(text))
     return line
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calib.camera import look
-from calib.comparison import compare
+from calib.comparison import MIN_MICS, compare, fit
 from calib.comparison_screen import verdict
 from calib.errors import CalibrationError, NotEnoughDataError
 from calib.joint.session import answer_jointly
@@ -27,12 +27,17 @@ def check_unmoved(sessions: list[Measured], channels: tuple[int, ...], settings:
     """
     alone = [result for session in sessions if (result := _alone(session, channels, settings)) is not None]
     for other in alone[1:]:
-        comparison = compare(alone[0], other)
-        if comparison.differ and comparison.unmoved.chi_square.chance < CHANCE:
+        if fit(alone[0], other).chi_square.chance < CHANCE:
             raise NotEnoughDataError(
-                f"{alone[0].name} and {other.name} cannot be solved together: {verdict(comparison)}; solve them one "
-                "by one"
+                f"{alone[0].name} and {other.name} cannot be solved together: {_what_moved(alone[0], other)}; solve "
+                "them one by one"
             )
+
+
+def _what_moved(first: StoredCalibration, other: StoredCalibration) -> str:
+    if len(first.channels) < MIN_MICS:
+        return "the microphones moved against the camera"
+    return verdict(compare(first, other))
 
 
 def _alone(session: Measured, channels: tuple[int, ...], settings: Settings) -> StoredCalibration | None:
@@ -48,7 +53,7 @@ def _alone(session: Measured, channels: tuple[int, ...], settings: Settings) -> 
     return StoredCalibration(
         session.name,
         {session.sha256: session.name},
-        settings.method,
+        settings,
         SOFTWARE,
         channels,
         answer.microphones_m,

@@ -71,8 +71,8 @@ class Rig:
     def view(self) -> View:
         return look(self.description.camera, self.description.board, self.corners)
 
-    def assembled(self, **changes) -> tuple[JointProblem, Unknowns]:
-        return assemble(self.description, self.view(), self.corners, self.tdoas, CHANNELS, **changes)
+    def assembled(self, *, channels: tuple[int, ...] = CHANNELS, **changes) -> tuple[JointProblem, Unknowns]:
+        return assemble(self.description, self.view(), self.corners, self.tdoas, channels, **changes)
 
     def solved(self, **changes) -> JointSolution:
         problem, guess = self.assembled(**changes)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from conftest import MICROPHONES_M, make_world, write_measured_session
@@ -10,6 +11,7 @@ from measured_rig import CHANNELS, make_rig
 from calib.cli import command
 from calib.errors import NotEnoughDataError
 from calib.joint.session import answer_jointly
+from calib.result_file import read_result
 from calib.settings import Settings
 from rigs.command import run
 from rigs.description import Intrinsics
@@ -48,6 +50,20 @@ def test_the_same_pose_again_and_again(tmp_path, simulated_description, capsys, 
     line = refused(capsys, write_measured_session(tmp_path / "s1.h5", simulated_description, n_poses=8))
     assert "focal length and depth cannot be told apart" in line
     assert "capture more poses" in line
+
+
+def test_poses_may_stand_in_any_order(tmp_path, simulated_description):
+    path = write_measured_session(tmp_path / "s1.h5", simulated_description, n_poses=8)
+    ordered, other = (tmp_path / f"{name}.calib.yaml" for name in ("ordered", "other"))
+    assert run("rig-calibrate", command, [str(path), "-o", str(ordered), "--no-report"]) == 0
+    with h5py.File(path, "r+") as file:
+        for table in ("poses", "emissions"):
+            rows = file[table][:]
+            rows["pose"] = np.array([5, 0, 3, 7, 1, 2, 6, 4])[rows["pose"]]
+            file[table][:] = rows
+    assert run("rig-calibrate", command, [str(path), "-o", str(other), "--no-report"]) == 0
+    first, second = (read_result(result).positions_m for result in (ordered, other))
+    np.testing.assert_allclose(first, second, atol=1e-6)
 
 
 def test_one_microphone_that_heard_nothing(tmp_path, simulated_description, capsys):

@@ -23,7 +23,7 @@ def rig():
 @pytest.fixture(scope="module")
 def problem(rig) -> JointProblem:
     problem, _ = rig.assembled(find_delays=True)
-    arrival_s = problem.arrivals.arrival_s - problem.arrivals.arrival_s.mean(axis=1, keepdims=True)  # for its digits
+    arrival_s = problem.arrivals.arrival_s.copy()
     arrival_s[3, 2] = arrival_s[7, :5] = arrival_s[9, 1:] = np.nan
     seen_px = problem.corners.seen_px.copy()
     seen_px[1, 7] = np.nan
@@ -114,6 +114,18 @@ def test_poses_are_eliminated_exactly(problem, displaced, weights):
     std = np.sqrt(np.diag(scaled))
     correlation = np.linalg.inv(complement) / np.outer(std, std)
     np.testing.assert_allclose(correlation, scaled / np.outer(std, std), atol=1e-5)
+
+
+def test_measurements_share_what_they_tell(problem, displaced, weights):
+    """The hat matrix has a trace for each kind of measurement, and with the priors' they make all unknowns."""
+    equations, free = problem.free_equations(displaced, weights), problem.priors.free
+    parts = [part.only(free, poses_free=True) for part in problem.measured_equations(displaced, weights)]
+    scale = np.sqrt(np.diag(whole(equations)))
+    inverse = np.linalg.inv(whole(equations) / np.outer(scale, scale)) / np.outer(scale, scale)
+    found = equations.shares(parts)
+    np.testing.assert_allclose(found, [np.trace(inverse @ whole(part)) for part in parts], rtol=1e-5)
+    of_priors = np.diag(inverse)[: free.sum()] @ problem.priors.information[free]
+    assert sum(found) + of_priors == pytest.approx(len(inverse), rel=1e-5)
 
 
 def test_what_is_held_has_no_equation(rig):

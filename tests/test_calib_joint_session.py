@@ -10,7 +10,7 @@ from measured_rig import CHANNELS, Rig, bent_rig, make_rig
 from calib.errors import CalibrationError
 from calib.joint.assemble import pair_tdoas
 from calib.joint.heldout import hold_out
-from calib.joint.next_pose import suggest_poses
+from calib.joint.next_pose import Suggestion, suggest_poses
 from calib.joint.observability import board_tilts_deg, observability_doubts
 from calib.joint.session import answer_jointly
 from calib.joint.uncertainty import microphone_covariances, shared_covariance
@@ -110,6 +110,20 @@ def test_suggestions_are_sentences():
     answer = answered(make_rig(0), suggest_poses=2)
     assert len(answer.suggestions) == 2
     assert all("board centre at x" in suggestion.sentence() for suggestion in answer.suggestions)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "edge_m", "words"),
+    [
+        ((30.0, 0.0), (0.0, -0.1, 0.0), "30 degrees with the edge at the picture's top nearer"),
+        ((-30.0, 0.0), (0.0, 0.1, 0.0), "30 degrees with the edge at the picture's bottom nearer"),
+        ((0.0, 20.0), (0.1, 0.0, 0.0), "20 degrees with the edge at the picture's right nearer"),
+        ((0.0, -20.0), (-0.1, 0.0, 0.0), "20 degrees with the edge at the picture's left nearer"),
+    ],
+)
+def test_the_edge_that_comes_nearer_is_named(tilt_deg, edge_m, words):
+    assert words in Suggestion(np.array([0.0, 0.0, 0.5]), tilt_deg, 1e-3, 2e-3).sentence()
+    assert (rotation_matrix(np.radians([*tilt_deg, 0.0])) @ edge_m)[2] < 0
 
 
 def test_suspects_are_told_in_words():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import MICROPHONES_M, make_world
-from measured_rig import Rig, bent_rig, make_rig
+from measured_rig import CHANNELS, Rig, bent_rig, make_rig
 from scipy.stats import chi2
 
 from calib.baseline.gauss_newton import gauss_newton
@@ -73,8 +73,22 @@ def test_start_refuses_nothing_at_all():
     silent = replace(
         problem, arrivals=replace(problem.arrivals, arrival_s=np.full_like(problem.arrivals.arrival_s, np.nan))
     )
-    with pytest.raises(NotEnoughDataError, match="no TDOA"):
+    with pytest.raises(NotEnoughDataError, match="0 emissions were heard"):
         find_start(silent, guess, seed=0)
+    twice = np.arange(len(problem.arrivals.pose)) < 2
+    with pytest.raises(NotEnoughDataError, match="2 emissions were heard"):
+        find_start(replace(problem, arrivals=problem.arrivals.only(twice)), guess, seed=0)
+
+
+def test_a_microphone_that_is_known_exactly_stays_where_it_is():
+    rig = make_rig(0, arrival_std_s=5e-6)
+    problem, guess = rig.assembled()
+    std = problem.priors.std.copy()
+    std[guess.blocks.microphone(7)] = 0.0
+    guess = guess.placed(np.where(np.arange(8)[:, None] == 7, rig.truth.microphones_m, 0.0))
+    known = replace(problem, priors=replace(problem.priors, mean=guess.shared, std=std))
+    solution = solve_robustly(known, find_start(known, guess, 0).at)
+    np.testing.assert_array_equal(solution.at.microphones_m[7], rig.truth.microphones_m[7])
 
 
 def test_start_needs_no_emission_that_all_microphones_heard():
@@ -103,6 +117,20 @@ def test_the_bound_is_reached_and_the_ellipsoids_hold():
     assert np.sqrt(np.mean(squares) / np.mean(bounds)) < 1.10
     assert np.sqrt(np.median(squares)) < 0.0005
     assert 0.92 < np.mean(held) < 0.985  # the 240 ellipsoids are not independent
+
+
+def test_the_scatter_is_right_where_measurements_are_few():
+    """Four microphones, four poses: what the unknowns take of the residuals is given back, no less and no more."""
+    ratios, few = [], [0, 2, 5, 7]
+    for seed in range(20):
+        rig = make_rig(seed, n_poses=4)
+        problem, guess = rig.assembled(channels=tuple(CHANNELS[row] for row in few))
+        solution = solve_robustly(problem, guess.placed(rig.truth.microphones_m[few]))
+        noise_s = rig.assembled()[0].arrivals.offsets_s(rig.truth)[:, few]
+        noise_s -= np.average(noise_s, axis=1, weights=problem.arrivals.information)[:, None]
+        drawn = np.sum(problem.arrivals.information * noise_s**2) / (noise_s.size - len(noise_s))
+        ratios.append(solution.scales.arrivals**2 / drawn)
+    assert abs(np.mean(ratios) - 1) < 0.03
 
 
 def test_a_bent_board_is_found():

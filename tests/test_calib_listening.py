@@ -99,6 +99,16 @@ def test_a_cut_off_cache_is_not_believed(session):
         assert cache.load(rows, "auto") is None
 
 
+def test_a_damaged_cache_is_not_believed(session):
+    cache, rows = cache_of(session), accepted_rows(session)
+    first = measure_tdoas(session, "auto", cache).sound
+    whole = cache.path.read_bytes()
+    for place in range(0, len(whole), 17):
+        cache.path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x5A]) + whole[place + 1 :])
+        loaded = cache.load(rows, "auto")
+        assert loaded is None or np.array_equal(loaded.arrival_s, first.arrival_s, equal_nan=True)
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is read-only for root")
 def test_a_read_only_folder_does_without(session):
     session.path.parent.chmod(0o500)

@@ -52,6 +52,16 @@ def test_an_arrival_is_named_with_how_far_it_is_off():
     assert float(reason.split()[0]) == pytest.approx(100, abs=5)
 
 
+def test_what_only_a_channel_left_out_heard_along_is_not_rejected():
+    """Two channels hear an emission, and one of them is left out: of the other alone nothing follows."""
+    rig = make_rig(0, n_poses=8)
+    arrival_s = rig.arrival_s.copy()
+    arrival_s[14, 1:7] = np.nan
+    heard = replace(rig, arrival_s=arrival_s)
+    answer = answer_jointly(rig.description, rig.view(), rig.corners, heard.tdoas, CHANNELS[:7], Settings())
+    assert not [each for each in answer.rejections if (each.pose, each.buzzer) == (2, 3)]
+
+
 def test_a_whole_emission_a_pose_and_a_channel_are_named_once():
     rig = make_rig(1)
     ((_, pose, buzzer, *_),) = [

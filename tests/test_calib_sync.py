@@ -14,8 +14,10 @@ from calib.emissions import accepted_rows
 from calib.joint.assemble import assemble
 from calib.joint.bias import without_bias
 from calib.joint.robust import solve_robustly
+from calib.joint.session import answer_jointly
 from calib.joint.start import find_start
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
+from calib.settings import Settings
 from calib.sound import find_arrivals
 from rigs.command import run
 from rigs.session.reader import Session
@@ -50,6 +52,17 @@ def test_known_onsets_have_no_bias_of_their_own():
     solution, covariance = solved(make_rig(0, n_poses=8))
     moved_m = without_bias(solution.problem, solution.at, solution.weights()).microphones_m - solution.at.microphones_m
     assert 0 < np.abs(moved_m).max() < 0.02 * microphone_rms_m(covariance, 8)
+
+
+def test_a_sync_output_that_is_seen_only_later_makes_no_odds():
+    """`--follow` goes on from a solve without latencies."""
+    rig = make_rig(0, n_poses=6)
+
+    def answer(tdoas, **before):
+        return answer_jointly(rig.description, rig.view(), rig.corners, tdoas, CHANNELS, Settings(), **before)
+
+    found = answer(with_sync(rig, rig.tdoas), before=answer(rig.tdoas, is_last=False).continuation)
+    np.testing.assert_allclose(found.microphones_m, answer(with_sync(rig, rig.tdoas)).microphones_m, atol=1e-6)
 
 
 def test_the_equations_of_onsets_match_numeric_derivatives():

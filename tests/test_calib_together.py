@@ -146,6 +146,9 @@ def test_an_array_that_moved_in_between_is_refused():
     knocked = replace(days[1], arrival_s=days[1].arrival_s + longer_s)
     with pytest.raises(NotEnoughDataError, match="the microphone of channel 5 moved by 2"):
         check_unmoved([measured(days[0], "a"), measured(knocked, "b")], CHANNELS, Settings())
+    with pytest.raises(NotEnoughDataError, match="the microphones moved against the camera"):
+        check_unmoved([measured(days[0], "a"), measured(knocked, "b")], (3, 5, 8), Settings())
+    check_unmoved([measured(days[0], "a"), measured(knocked, "b")], (1, 3, 8), Settings())
 
 
 @pytest.mark.parametrize(

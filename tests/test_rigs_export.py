@@ -117,6 +117,9 @@ def test_all_emissions_leave_out_those_during_which_audio_was_lost(tmp_path, cap
         (("--emission", 1, "-o", "x.mp3"), 2, "end the name with one of them"),
         (("--emission", 1, "-o", "nowhere/x.wav"), 2, "no folder"),
         (("--emission", "0-3", "-o", "nowhere/x"), 2, "no folder"),
+        (("--emission", "0-3", "-o", "x.wav"), 2, "4 emissions make a file each: name a folder"),
+        (("--emission", 1, "-o", "/sys/x.wav"), 2, "/sys/x.wav: cannot be made"),
+        (("--emission", "0-3", "-o", "/sys/x"), 2, "/sys/x: cannot be made"),
     ],
 )
 def test_what_cannot_be_cut_is_refused(session, capsys, monkeypatch, arguments, exit_code, words):
@@ -230,3 +233,14 @@ def test_a_player_without_a_device_is_told(session, tmp_path, capsys, monkeypatc
     code, error = refused(capsys, "audio", session, "--emission", 1, "--play")
     assert code == 3
     assert "PortAudio library not found" in error
+
+
+def test_sound_that_does_not_fit_on_the_disk_is_named(session, tmp_path, capsys, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("System error.")
+
+    monkeypatch.setattr("soundfile.write", full)
+    code, error = refused(capsys, "audio", session, "--emission", 1, "-o", tmp_path / "a.wav")
+    assert code == 2
+    assert "a.wav: could not be written: free some space" in error
+    assert not list(tmp_path.glob(".*"))

@@ -19,6 +19,7 @@ from calib.joint.priors import described_priors, n_corners, with_held
 from calib.joint.problem import JointProblem
 from calib.joint.robust import JointSolution
 from calib.joint.unknowns import Unknowns
+from calib.sound import SoundArrivals
 from rigs.board import board_corners_m
 from rigs.description import Intrinsics, Medium, RigDescription
 
@@ -144,7 +145,8 @@ def _onset_table(view: View, tdoas: EmissionTdoas, table: ArrivalTable, n_buzzer
     if not np.isfinite(tdoas.sound.onset_s[rows]).any():
         return None
     session = 0 if table.session is None else table.session
-    return OnsetTable(tdoas.sound.onset_s[rows], tdoas.sound.onset_std_s[rows], session * n_buzzers + table.buzzer)
+    onset_s = tdoas.sound.onset_s[rows] - _about_when_s(tdoas.sound, rows)
+    return OnsetTable(onset_s, tdoas.sound.onset_std_s[rows], session * n_buzzers + table.buzzer)
 
 
 def _in_media(start: Unknowns, media: tuple[Medium, ...]) -> Unknowns:
@@ -171,10 +173,16 @@ def arrival_table(
         chosen = pair_tdoas(view, tdoas, channels)
         arrival_s, std_s, _ = arrivals_of_pairs(chosen.tdoa_s, chosen.pairs, len(channels))
     else:
-        places = np.ix_(rows, np.array([tdoas.sound.channels.index(channel) for channel in channels]))
-        arrival_s, std_s = tdoas.sound.arrival_s[places], np.maximum(tdoas.sound.std_s[places], LEAST_ARRIVAL_STD_S)
+        columns = np.array([tdoas.sound.channels.index(channel) for channel in channels], dtype=np.intp)
+        arrival_s = (tdoas.sound.arrival_s[rows] - _about_when_s(tdoas.sound, rows)[:, None])[:, columns]
+        std_s = np.maximum(tdoas.sound.std_s[np.ix_(rows, columns)], LEAST_ARRIVAL_STD_S)
     session = None if tdoas.session is None else tdoas.session[rows]
     return ArrivalTable(np.searchsorted(view.pose, tdoas.pose[rows]), number, arrival_s, std_s, session)
+
+
+def _about_when_s(sound: SoundArrivals, rows: NDArray[np.intp]) -> FloatArray:
+    """Return when some emissions (n,) were first heard; times counted from there keep all their digits in the solve."""
+    return np.asarray(np.nan_to_num(np.fmin.reduce(sound.arrival_s[rows], axis=1)))
 
 
 def emission_rows(view: View, tdoas: EmissionTdoas) -> NDArray[np.intp]:

@@ -28,6 +28,10 @@ class Continuation:
     pose: NDArray[np.int32]
     scale: float
 
+    def fits(self, guess: Unknowns) -> bool:
+        """Tell whether a problem has the same unknowns: the sync output may only now be seen, or be seen no more."""
+        return self.at.blocks == guess.blocks
+
     def start(self, problem: JointProblem, guess: Unknowns, pose: NDArray[np.int32]) -> Unknowns:
         """Return where the next solve starts: new poses (n_poses,) are as `guess` has them."""
         shared = np.where(problem.priors.free, self.at.shared, guess.shared)

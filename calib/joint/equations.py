@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+LEAST_SHARE = 1e-12  # of an unknown's information: keeps what nothing tells from making equations singular
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -96,11 +98,33 @@ class NormalEquations:
         by_shared = np.asarray(np.linalg.solve(self.poses, self.border.swapaxes(1, 2)), dtype=float)
         return np.asarray(self.shared - _contracted(self.border, by_shared))
 
+    def shares(self, parts: list[NormalEquations]) -> list[float]:
+        """Return how many of the unknowns each of some parts of these equations tells: tr(M^-1 N) of a part N.
+
+        That is the trace over the shared unknowns with the poses eliminated, and that over the poses.
+        """
+        scaled, shared_scale, pose_scale = self._scaled()
+        by_pose = np.linalg.inv(scaled.poses + LEAST_SHARE * np.eye(6))
+        followed = by_pose @ scaled.border.swapaxes(1, 2)
+        complement = scaled.shared + LEAST_SHARE * np.eye(len(shared_scale)) - _contracted(scaled.border, followed)
+        by_shared = np.linalg.inv(complement)
+        found = []
+        for part in parts:
+            own = part._over(shared_scale, pose_scale)
+            remaining = own.poses @ followed - 2 * own.border.swapaxes(1, 2)
+            shared = own.shared + _contracted(followed.swapaxes(1, 2), remaining)
+            found.append(float(np.sum(by_shared * shared) + np.sum(by_pose * own.poses)))
+        return found
+
     def _scaled(self) -> tuple[NormalEquations, FloatArray, FloatArray]:
         """Return the equations with ones on the diagonal, and the square roots of what stood there."""
         shared = np.sqrt(np.maximum(np.diag(self.shared), 1e-300))
         poses = np.sqrt(np.maximum(np.diagonal(self.poses, axis1=1, axis2=2), 1e-300))
-        scaled = NormalEquations(
+        return self._over(shared, poses), shared, poses
+
+    def _over(self, shared: FloatArray, poses: FloatArray) -> NormalEquations:
+        """Return the equations of the unknowns in other units, which are 1 / `shared` and 1 / `poses` of these."""
+        return NormalEquations(
             self.shared / np.outer(shared, shared),
             self.border / (shared[:, None] * poses[:, None, :]),
             self.poses / (poses[:, :, None] * poses[:, None, :]),
@@ -108,7 +132,6 @@ class NormalEquations:
             self.pose_gradient / poses,
             self.cost,
         )
-        return scaled, shared, poses
 
 
 def _contracted(border: FloatArray, by_shared: FloatArray) -> FloatArray:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,9 +119,15 @@ class JointProblem:
 
     def normal_equations(self, at: Unknowns, weights: Weights) -> NormalEquations:
         """Linearise at some values; the equations of all unknowns, held ones too."""
-        equations = self.arrivals.normal_equations(at, weights.arrivals)
-        if self.corners is not None:
-            equations = equations + self.corners.normal_equations(at, weights.corners)
+        return self.with_all_else(reduce(add, self.measured_equations(at, weights)), at, weights)
+
+    def measured_equations(self, at: Unknowns, weights: Weights) -> list[NormalEquations]:
+        """Return the equations of the arrivals, and those of the corners where there are any."""
+        arrivals = self.arrivals.normal_equations(at, weights.arrivals)
+        return [arrivals, *([self.corners.normal_equations(at, weights.corners)] if self.corners is not None else [])]
+
+    def with_all_else(self, equations: NormalEquations, at: Unknowns, weights: Weights) -> NormalEquations:
+        """Return the equations of arrivals and corners with those of onsets and priors."""
         if self.onsets is not None:
             own = self.with_onset_weights(weights, at).onsets
             assert own is not None

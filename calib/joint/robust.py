@@ -7,6 +7,8 @@ and one on those of all corners, so that neither needs to be known beforehand, o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from calib.errors import NotConvergedError
 from calib.joint.descend import descend
 from calib.joint.problem import JointProblem, Weights
 from calib.joint.search import CAUCHY_WIDTH
-from calib.joint.unknowns import POSE_SIZE, Unknowns
+from calib.joint.unknowns import Unknowns
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -122,7 +124,7 @@ def _without_outliers(problem: JointProblem, at: Unknowns, weights: Weights, sca
         if not descent.converged:
             raise _not_settled(descent.n_iterations)
         at, previous = descent.end, scales
-        scales = _scales(problem, at, arrivals, corners)
+        scales = _scales(problem, at, weights, scales)
         if same and _alike(scales, previous, STEADY):
             break
     weights = _chosen(problem, arrivals, corners, scales)
@@ -179,20 +181,19 @@ def _cauchy(problem: JointProblem, at: Unknowns, weights: Weights, scales: Scale
     return Weights(stated.arrivals * loose[0], stated.corners * loose[1])
 
 
-def _scales(problem: JointProblem, at: Unknowns, arrivals: BoolArray, corners: BoolArray) -> Scales:
-    """Return the scales by what was used: root mean square, with what the unknowns take of it given back."""
-    stated = problem.stated_weights()
-    residuals_s = problem.arrivals.residuals_s(at, arrivals * stated.arrivals)
-    n_free = arrivals.sum() - arrivals.any(axis=1).sum() - problem.priors.free[at.blocks.microphones].sum()
-    squares = float(np.sum(stated.arrivals * np.where(arrivals, residuals_s, 0.0) ** 2))
-    scale = max(np.sqrt(squares / max(n_free, 1)), LEAST_SCALE)
-    if problem.corners is None:
-        return Scales(scale, 1.0)
-    seen = np.where(corners[..., None], problem.corners.residuals_px(at), 0.0)
-    n_values = (
-        2 * corners.sum()
-        - POSE_SIZE * len(at.rotations)
-        - problem.priors.free[at.blocks.camera.start : at.blocks.corners.stop].sum()
-    )
-    corner_scale = np.sqrt(np.sum(seen**2) / max(n_values, 1)) / problem.corners.std_px
-    return Scales(float(scale), float(max(corner_scale, LEAST_SCALE)))
+def _scales(problem: JointProblem, at: Unknowns, weights: Weights, scales: Scales) -> Scales:
+    """Return the scales by what was used, from earlier ones: root mean squares, what unknowns take of them given back.
+
+    Each kind of measurement gives back what it tells of the unknowns itself, the trace of its part of the hat matrix
+    (W. Foerstner, Allg. Vermess.-Nachr. 86 (1979) 446): all or nothing would be wrong where poses are few.
+    """
+    free, poses_free = problem.priors.free, not problem.priors.poses_held
+    parts = problem.measured_equations(at, weights)
+    whole = problem.with_all_else(reduce(add, parts), at, weights).only(free, poses_free=poses_free)
+    taken = whole.shares([part.only(free, poses_free=poses_free) for part in parts])
+    used = weights.arrivals > 0
+    n_values = [used.sum() - used.any(axis=1).sum(), 2 * np.sum(weights.corners > 0)]  # emissions begin when they like
+    factors = [float(np.sqrt(2 * part.cost / max(n - own, 1.0)))
+               for part, n, own in zip(parts, n_values, taken, strict=False)]  # fmt: skip
+    arrivals = max(scales.arrivals * factors[0], LEAST_SCALE)
+    return Scales(arrivals, 1.0 if problem.corners is None else max(scales.corners * factors[1], LEAST_SCALE))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from calib.camera import View
 from calib.corners import PoseCorners
 from calib.doubts import fit_doubts
 from calib.emissions import EmissionTdoas
+from calib.errors import NotConvergedError
 from calib.evidence import Evidence, arrivals_of_differences
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.assemble import PairTdoas, assemble, emission_rows, nodes, pair_tdoas
@@ -118,10 +120,11 @@ def _solved(
     problem: JointProblem, guess: Unknowns, view: View, settings: Settings, before: Continuation | None
 ) -> tuple[JointSolution, FloatArray | None]:
     """Solve, near an earlier solution if that still fits; return another place that fits nearly as well, too."""
-    if before is not None:
-        solution = solve_robustly(problem, before.start(problem, guess, view.pose))
-        if solution.scales.arrivals < WORSE * before.scale:
-            return solution, None
+    if before is not None and before.fits(guess):
+        with suppress(NotConvergedError):  # it may from nothing
+            solution = solve_robustly(problem, before.start(problem, guess, view.pose))
+            if solution.scales.arrivals < WORSE * before.scale:
+                return solution, None
     start = find_start(problem, guess, settings.seed)
     return solve_robustly(problem, start.at), start.rival_m
 

@@ -25,6 +25,7 @@ from calib.joint.unknowns import Unknowns
 FloatArray = NDArray[np.float64]
 
 N_DRAWS = 8
+MIN_EMISSIONS = 3  # fewer places lie in no plane
 MIN_COMMON_EMISSIONS, MAX_COMMON_EMISSIONS = 12, 120
 REACH_PERCENTILE = 95.0  # of the arrival differences: a few may be wild
 SAME_BASIN_M = 0.02
@@ -52,10 +53,14 @@ def find_start(problem: JointProblem, guess: Unknowns, seed: int) -> Start:
     Raises
     ------
     NotEnoughDataError
-        There is no arrival at all.
+        There is hardly any arrival.
     """
-    if not problem.arrivals.present.any():
-        raise NotEnoughDataError("no TDOA was measured: check buzzers, gains and signal, and capture again")
+    n_heard = int(problem.arrivals.present.any(axis=1).sum())
+    if n_heard < MIN_EMISSIONS:
+        raise NotEnoughDataError(
+            f"{n_heard} emissions were heard by two microphones or more, at least {MIN_EMISSIONS} are needed: check "
+            "buzzers, gains and signal, and capture again"
+        )
     table = range_table(problem, guess)
     places_m = np.concatenate([*_closed_form_if_possible(table), _draws(table, seed)])
     found = descend_together(table, places_m)
@@ -63,7 +68,8 @@ def find_start(problem: JointProblem, guess: Unknowns, seed: int) -> Start:
     mirrored_m = _mirrored(table, found.places_m[best])
     found = _joined(found, descend_together(table, mirrored_m))
     best = int(np.argmin(found.scores()))
-    return Start(guess.placed(found.places_m[best]), _rival(found, best))
+    is_free = problem.priors.free[guess.blocks.microphones].reshape(-1, 3)  # one may be known exactly
+    return Start(guess.placed(np.where(is_free, found.places_m[best], guess.microphones_m)), _rival(found, best))
 
 
 def range_table(problem: JointProblem, at: Unknowns) -> RangeTable:
