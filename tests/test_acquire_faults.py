@@ -4,6 +4,7 @@ import time
 from collections import namedtuple
 from dataclasses import replace
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from capturing import Listener, captured, small_rig, with_fault
 
 from acquire import capture as capture_module
 from acquire.clock import MonotonicClock
-from acquire.errors import CaptureQualityError, DeviceError, DiskShortError, InterruptedCaptureError
+from acquire.errors import CaptureQualityError, DeviceError, DeviceLostError, DiskShortError, InterruptedCaptureError
+from acquire.reconnection import Reconnection
+from acquire.status import Status
 from rigs.errors import SessionWriteError, TargetError
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
@@ -106,6 +109,45 @@ def test_a_device_that_is_lost_again_and_again_is_given_up(tmp_path):
             DeviceError, match="devices were lost 6 times without a good pose in between; 0 poses saved"
         ):
             captured(tmp_path / "s.h5", found)
+
+
+def test_losses_are_counted_anew_after_a_good_pose(tmp_path, monkeypatch):
+    rig, plays = capture_module.choose_devices(small_rig().description), []
+    play = rig.trigger.play
+
+    def stubborn(buzzer, waveform):
+        plays.append(buzzer)
+        if plays.count(1) in (1, 2, 3, 5, 6, 7):  # three times in each of two poses
+            raise DeviceError("trigger board: no answer")
+        return play(buzzer, waveform)
+
+    monkeypatch.setattr(rig.trigger, "play", stubborn)
+    monkeypatch.setattr(capture_module, "choose_devices", lambda *_, **__: rig)
+    assert captured(tmp_path / "s.h5", poses=2).status.saved == 2
+    assert plays.count(1) == 8
+
+
+def test_a_second_device_lost_while_the_first_is_opened_is_brought_back_too():
+    opened, reopened, description = [], [], small_rig().description
+
+    def attend(part, _call, *, is_open):
+        assert not is_open
+        opened.append(part)
+        if opened == ["trigger"]:
+            raise DeviceLostError("gone", "audio")
+        return "driver 1"
+
+    recording = SimpleNamespace(
+        rig=capture_module.choose_devices(description),
+        status=Status("r", "s", (1,), 1, 1),
+        say=lambda *_: None,
+        attend=attend,
+        reopened=reopened.append,
+        record=lambda _: None,
+    )
+    Reconnection(recording, description).restore(DeviceLostError("lost", "trigger"))
+    assert opened == ["trigger", "audio", "trigger"]
+    assert reopened == ["audio", "trigger"]
 
 
 def test_a_frozen_camera_is_opened_again_and_the_pose_repeated(tmp_path):

@@ -1,5 +1,7 @@
 """The frames of a pose: in their rhythm, and counted where they are missing."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from capturing import captured, small_rig
@@ -7,6 +9,8 @@ from capturing import captured, small_rig
 from acquire import capture
 from acquire.devices.base import Frame, Rhythm
 from acquire.devices.frame_queue import FrameQueue
+from acquire.errors import DeviceError
+from acquire.film import Film
 from rigs.session.reader import Session
 
 
@@ -57,6 +61,24 @@ def test_frames_that_never_come_before_the_end_are_counted():
         queue.put(frame(100 + 0.2 * number))
     assert queue.n_missing_at(101.1) == 2  # of which was no room for
     assert queue.n_missing_at(101.9) == 5
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_what_the_camera_still_holds_at_the_end_is_stored_and_its_loss_is_left_to_others(is_lost):
+    def collected():
+        if is_lost:
+            raise DeviceError("camera: gone")
+        return [frame(100.2)]
+
+    stored = []
+    camera = SimpleNamespace(collect=lambda rhythm: 3 if rhythm is None else 0, collected=collected)
+    writer = SimpleNamespace(append_frame=lambda _image, **keys: stored.append(keys["host_time_s"]))
+    film = Film(camera, writer, small_rig().description)
+    film.begin(frame(100.0), 0)
+    between = film.end()
+    assert stored == ([100.0] if is_lost else [100.0, 100.2])
+    assert len(between) == len(stored) - 1
+    assert film.n_missing == 3
 
 
 class StutteringCamera:

@@ -146,7 +146,7 @@ class Listening:
         for block in self._audio.read():
             if block.flags & (FLAG_OVERFLOW | FLAG_GAP):
                 self._n_losses += 1
-                self._place(block.host_time_s)
+                self._place(block.host_time_s - self._waveform.duration_s)  # those that are over
                 self._sample_clock.restart()
             self._sample_clock.add(self._n_samples, block.host_time_s)
             self._stamps.append((self._n_samples, block.host_time_s))
