@@ -54,6 +54,19 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class ChannelDelays:
+    """How late each channel is after the first one.
+
+    Parameters
+    ----------
+    delay_s, std_s : (n_sessions, n_mics) array
+    """
+
+    delay_s: FloatArray
+    std_s: FloatArray
+
+
+@dataclass(frozen=True)
 class Recording:
     """What tools that read the session beside the result need to know of it.
 
@@ -128,6 +141,8 @@ class Calibration:
         What the result does not rest on, and why.
     sessions : tuple of SessionShare
         Where it was made from several; the speed of sound is then their mean.
+    delays : ChannelDelays or None
+        Where they were to be found.
     settings : Settings
         What was chosen, so that it can be made again.
     """
@@ -153,6 +168,7 @@ class Calibration:
     rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
     evidence: Evidence | None = None
+    delays: ChannelDelays | None = None
     settings: Settings = field(default_factory=Settings)
 
     @property

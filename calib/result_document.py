@@ -96,6 +96,13 @@ def _findings(result: Calibration) -> dict[str, Any]:
         found["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
     if result.sound is not None:
         found["sound"] = result.sound
+    if result.delays is not None:
+        names = [share.name for share in result.sessions] or [result.session_name]
+        found["delays"] = [
+            {"session": name, "channel": int(channel), "delay_s": _six_digits(delay_s), "std_s": _six_digits(std_s)}
+            for name, delays_s, stds_s in zip(names, result.delays.delay_s, result.delays.std_s, strict=True)
+            for channel, delay_s, std_s in zip(result.channels, delays_s, stds_s, strict=True)
+        ]
     if result.rejections:
         found["rejected"] = {
             f"{kind}s": [rejection.document() for rejection in result.rejections if rejection.kind == kind]

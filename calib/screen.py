@@ -18,6 +18,7 @@ from calib.result import Calibration
 
 NARROWEST = 76
 VERDICTS = {"good": "bold green", "usable": "bold yellow", "do not use": "bold red"}
+DELAYS_A_LINE = 3
 WORST = 4  # of what was left out, told by name
 
 
@@ -97,10 +98,28 @@ def _fit_table(result: Calibration) -> Table:
             ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected{measured}"),
             *_left_out(result.rejections),
             *(shares or [("speed of sound", speed)]),
+            *_delays(result),
             ("camera", f"focal length {focal} px, from the {view.source}"),
             ("board", f"{len(view.board_to_camera)} poses, corners fit to {view.rms_px:.3f} px rms"),
         ]
     )
+
+
+def _delays(result: Calibration) -> list[tuple[str, str]]:
+    """Return how late each channel is after the first one, a line per session."""
+    if result.delays is None:
+        return []
+    first, *others = result.channels
+    names = [f"{share.name}: " for share in result.sessions] or [""]
+    lines = []
+    for name, delays_s, stds_s in zip(names, result.delays.delay_s, result.delays.std_s, strict=True):
+        lines.append(f"{name}after channel {first}, in us")
+        after = [
+            f"{channel}: {1e6 * delay_s:+.2f} +- {1e6 * std_s:.2f}"
+            for channel, delay_s, std_s in zip(others, delays_s[1:], stds_s[1:], strict=True)
+        ]
+        lines += [", ".join(after[row : row + DELAYS_A_LINE]) for row in range(0, len(after), DELAYS_A_LINE)]
+    return [("delays of channels", escape("\n".join(lines)))]
 
 
 def _left_out(rejections: tuple[Rejection, ...]) -> list[tuple[str, str]]:

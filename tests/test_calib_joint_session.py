@@ -126,6 +126,22 @@ def test_the_edge_that_comes_nearer_is_named(tilt_deg, edge_m, words):
     assert (rotation_matrix(np.radians([*tilt_deg, 0.0])) @ edge_m)[2] < 0
 
 
+def test_delays_of_channels_are_found_after_the_first():
+    squares = []
+    for seed in range(4):
+        rig = make_rig(seed)
+        late_s = np.random.default_rng(seed).uniform(-3e-4, 3e-4, 8)
+        found = answered(replace(rig, arrival_s=rig.arrival_s + late_s), find_delays=True)
+        assert found.delays.delay_s[0, 0] == found.delays.std_s[0, 0] == 0.0
+        errors_s = found.delays.delay_s[0] - (late_s - late_s[0])
+        squares += ((errors_s / np.maximum(found.delays.std_s[0], 1e-12))[1:] ** 2).tolist()
+        assert not any("late" in warning for warning in found.warnings)
+        assert np.linalg.norm(found.microphones_m - rig.truth.microphones_m, axis=1).max() < 5 * worst_std_m(
+            found.array_covariance_m2
+        )
+    assert 0.4 < np.mean(squares) < 2.0
+
+
 def test_suspects_are_told_in_words():
     rig = make_rig(0)
     late = replace(rig, arrival_s=rig.arrival_s + 2e-4 * (np.arange(8) == 4))

@@ -49,7 +49,7 @@ MOST_DECADES = 3  # of an axis: what lies higher has run away
 FURTHEST_M = 3.0  # what ran away further is not drawn in space
 BOXES = (
     "Error of each microphone in each repetition. Box: the middle half, its line the median; whiskers: up to 1.5 times "
-    "the box's width further; circles: single values beyond."
+    "the box's width further; circles: single values beyond. What is over 1000 times the median of all is not shown."
 )
 SPACE = "Where each method places the microphones: medians over the repetitions, and the true places."
 NOTE_BOUND = "Dotted, in the same colour: its Cramer-Rao bound, for Gaussian noise of the same variance."
@@ -203,7 +203,7 @@ def _finish_axes(axes: Any, title: str, error: str) -> None:
 
 
 def _boxes(finished: FinishedStudy) -> Figure:
-    figure = Figure(figsize=(6.4, 3.6))
+    figure = Figure(figsize=(6.4, max(3.6, 1 + 0.3 * len(finished.summaries))))
     axes = figure.subplots()
     labels, errors = [], []
     for label, _, cases in _lines(finished, None):
@@ -217,9 +217,18 @@ def _boxes(finished: FinishedStudy) -> Figure:
     axes.set_yticks(range(1, len(labels) + 1), labels, fontsize=8)
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="error of each microphone, mm")
+    _limit(axes, np.concatenate(errors))
     _plain_ticks(axes.xaxis)
     axes.set_title(_title(finished), fontsize=10)
     return figure
+
+
+def _limit(axes: Any, errors_mm: FloatArray) -> None:
+    """End the axis where errors do, those left aside that are far from the median of all."""
+    found = errors_mm[errors_mm > 0]
+    if len(found):
+        near = found[np.abs(np.log10(found / np.median(found))) <= MOST_DECADES]
+        axes.set_xlim(near.min() / 1.2, near.max() * 1.2)
 
 
 def _in_space(finished: FinishedStudy) -> Figure:
