@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from example_sessions import N_CHANNELS, RIG, TEXT, add_pose, new_session
 
-from rigs.errors import SessionWriteError
+from rigs.errors import SessionWriteError, TargetExistsError
 from rigs.session import durability
 from rigs.session.journal import journal_path, read_journal
 from rigs.session.layers import Header
@@ -105,6 +105,18 @@ def test_a_copy_is_on_the_disk_before_it_takes_the_place_of_the_old_file(path, m
         add_pose(writer, 0)
         writer.replace(keep=False)
         assert done == ["synced", "synced", "replaced", "replaced"]  # file and journal each
+
+
+def test_a_copy_that_another_program_makes_is_left_alone(path):
+    header = Header("s", TEXT, {}, float(RIG.audio.sample_rate_hz))
+    with SessionWriter.begin(path, header, N_CHANNELS) as writer:
+        with pytest.raises(TargetExistsError, match="another program is making this session"):
+            SessionWriter.begin(path, header, N_CHANNELS)
+        add_pose(writer, 0)
+        writer.publish()
+    with Session.open(path) as session:
+        assert session.complete
+        assert session.verify() == []
 
 
 def test_the_journal_holds_what_was_flushed(path):
