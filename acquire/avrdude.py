@@ -97,7 +97,9 @@ def write_image(kind: BoardKind, port: str, image: Path, hear: Callable[[str], N
         It failed.
     """
     arguments = command(kind, port, image)
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:  # noqa: S603
+    with subprocess.Popen(  # noqa: S603
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+    ) as process:
         guard = threading.Timer(_LIMIT_S, process.kill)
         guard.start()
         try:

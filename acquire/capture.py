@@ -75,7 +75,8 @@ def capture(
     DeviceError, FirmwareError
         A device is missing or was lost; as for all errors below, what came before is saved in a closed file.
     DiskShortError
-        The disk is nearly full; before any device was touched, or with all that was recorded in a closed file.
+        The disk is nearly full, or the folder is gone; before any device was touched, or with all that was recorded in
+        a closed file.
     CaptureQualityError
         The board was not found, or nothing was heard.
     InterruptedCaptureError
@@ -104,15 +105,21 @@ def capture(
         if earlier is not None:
             _go_on(earlier, recording, versions)
         _warn(recording, space)
-        try:
-            Poses(recording, description, earlier).capture_all()
-        except CaptureError as error:
-            level = "info" if isinstance(error, InterruptedCaptureError) else "error"
-            _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
-            raise type(error)(_last_line(error, status)) from error
-        _end(recording, State.FINISHED, "info", saved_line(status))
-        recording.tell("info", saved_line(status))
+        _capture_poses(Poses(recording, description, earlier), recording)
     return status
+
+
+def _capture_poses(poses: Poses, recording: Recording) -> None:
+    """Capture all poses, and close the file well however that ends."""
+    status = recording.status
+    try:
+        poses.capture_all()
+    except CaptureError as error:
+        level = "info" if isinstance(error, InterruptedCaptureError) else "error"
+        _end(recording, _end_state(error), level, str(error))  # whoever called tells the operator
+        raise type(error)(_last_line(error, status)) from error
+    _end(recording, State.FINISHED, "info", saved_line(status))
+    recording.tell("info", saved_line(status))
 
 
 def _warn(recording: Recording, space: DiskSpace) -> None:
@@ -190,6 +197,7 @@ def _opened(rig: Rig, stop_wanted: Callable[[], bool], remedy: str) -> Iterator[
             try:
                 versions[part] = rig.clock.wait_for(device.open, glance)
             except DeviceError as error:
+                glance()  # Ctrl-C at a terminal ends what a device has started, too
                 raise DeviceError(f"{error}{remedy}") from error
         yield versions
 
@@ -230,7 +238,7 @@ def _end_state(error: CaptureError) -> State:
 
 
 def _end(recording: Recording, state: State, level: str, text: str) -> None:
-    """Close the file well, whatever ended the capture."""
+    """Store what is known at the end, and close the file well."""
     recording.status.state, recording.status.advice = state, ""
     if (rate := recording.clocks.store_session()) is not None:
         recording.say("info", rate)

@@ -92,7 +92,7 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
         console.print(_TONE_WARNING, soft_wrap=True, markup=False)
     with stop_on_signals() as stop_wanted, screen_for(console) as screen:
         status = capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted, resumes=resumes)
-    with suppress(SystemExit):  # rich's answer to a broken pipe: nobody reads this any more
+    with suppress(SystemExit, OSError):  # rich's answer to a broken pipe: nobody reads this any more
         for line in (*_fault_lines(status), _next_line(status.saved, found.description.min_poses, path)):
             console.print(line, soft_wrap=True, markup=False)
     return 0

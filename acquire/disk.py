@@ -7,7 +7,7 @@ from pathlib import Path
 
 from acquire.errors import DiskShortError
 from rigs.description import RigDescription
-from rigs.errors import TargetError
+from rigs.errors import TargetError, reason
 
 _RESERVE_BYTES = 64_000_000
 _RESERVE_S = 10.0
@@ -33,7 +33,7 @@ class DiskSpace:
         self._reserve_bytes = _RESERVE_BYTES + _RESERVE_S * _bytes_per_s(description)
 
     def check(self, also_bytes: int = 0) -> None:
-        """Raise DiskShortError where less is left than it takes to close the session well.
+        """Raise DiskShortError where less is left than it takes to close the session well, or the folder is gone.
 
         Parameters
         ----------
@@ -43,8 +43,8 @@ class DiskSpace:
         free_bytes, needed_bytes = _free_bytes(self._path), self._reserve_bytes + also_bytes
         if free_bytes < needed_bytes:
             raise DiskShortError(
-                f"{self._path}: the disk is nearly full ({_in_words(free_bytes)} left, at least "
-                f"{_in_words(needed_bytes)} needed): {_REMEDY}"
+                f"{self._path}: the disk is nearly full ({in_words(free_bytes)} left, at least "
+                f"{in_words(needed_bytes)} needed): {_REMEDY}"
             )
 
     def doubt(self) -> str | None:
@@ -53,8 +53,8 @@ class DiskSpace:
         if room_bytes >= self._session_bytes:
             return None
         return (
-            f"{self._path}: this session may take {_in_words(self._session_bytes)}, the disk has room for "
-            f"{_in_words(max(room_bytes, 0))}: {_REMEDY}"
+            f"{self._path}: this session may take {in_words(self._session_bytes)}, the disk has room for "
+            f"{in_words(max(room_bytes, 0))}: {_REMEDY}"
         )
 
 
@@ -73,11 +73,15 @@ def _bytes_per_s(description: RigDescription) -> float:
 
 
 def _free_bytes(path: Path) -> int:
-    usage = shutil.disk_usage(path.parent)
+    try:
+        usage = shutil.disk_usage(path.parent)
+    except OSError as error:
+        raise DiskShortError(f"{path}: its folder is gone ({reason(error)}): look where it was moved to") from error
     if usage.total == usage.free == 0:
         raise TargetError(f"{path}: {path.parent} is no disk: choose another folder")
     return usage.free
 
 
-def _in_words(n_bytes: float) -> str:
+def in_words(n_bytes: float) -> str:
+    """Return a size as people say it."""
     return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"

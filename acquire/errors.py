@@ -50,7 +50,7 @@ def losing(part: str) -> Iterator[None]:
 
 
 class DiskShortError(CaptureError):
-    """There is no room left on the disk; the session is closed well while there still is a little."""
+    """No room is left on the disk, or the folder is gone; the session is closed well while that still can be done."""
 
 
 class FirmwareError(CaptureError):

@@ -85,7 +85,7 @@ class Film:
         """Store what is left, and return a few frames spread over the pose; safe to call twice."""
         with suppress(DeviceError):  # whoever wants another frame will be told
             self.store()
-        self._camera.collect(None)
+        self.n_missing += self._camera.collect(None)
         self._is_running = False
         return self._spread.frames
 

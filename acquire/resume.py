@@ -95,7 +95,7 @@ def look_into(path: Path, named: FoundDescription | None, seed: int | None) -> E
     Raises
     ------
     rigs.errors.RigError
-        Another rig, or another seed.
+        Another rig, another seed, or a session of measurements, which has a row per pose and cannot grow.
     SessionError
         Not a session, being recorded, or beyond recovery.
     """
@@ -105,6 +105,8 @@ def look_into(path: Path, named: FoundDescription | None, seed: int | None) -> E
             raise RigError(
                 f"{named.where}: not the rig of {path}: {difference}; go on without --rig, or begin another session"
             )
+        if wreck.header.corners_px is not None or wreck.header.tdoas is not None:
+            raise RigError(f"{path}: begins with measured corners or TDOAs, so nothing can be recorded into it")
         old, poses = (_number(wreck.header.versions.get(key, "")) for key in (SEED, POSES))
         if None not in (old, seed) and old != seed:
             raise RigError(f"{path}: began with --seed {old}, so it cannot go on with --seed {seed}: leave it out")

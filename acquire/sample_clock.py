@@ -49,11 +49,14 @@ class SampleClock:
     def __init__(self, sample_rate_hz: float) -> None:
         self._sample_rate_hz = sample_rate_hz
         self._longest: ClockFit | None = None
-        self.restart()
+        self._begin()
 
     def restart(self) -> None:
         """Forget all stamps: samples were lost, so what they said holds no longer."""
-        self._longest = self.longest_fit() if hasattr(self, "_samples") else None
+        self._longest = self.longest_fit()
+        self._begin()
+
+    def _begin(self) -> None:
         self._samples, self._hosts_s = array("d"), array("d")  # the stamp that counts of each bin
         self._bin: list[tuple[float, int, float]] = []  # the two earliest stamps of the present bin: how late, stamp
         self._bin_end, self._n_in_bin = -math.inf, 0

@@ -62,7 +62,7 @@ class PlainScreen:
     def say(self, message: Message) -> None:
         """Print one line; where nobody reads any more, be silent rather than end the capture."""
         mark = "" if message.level == "info" else f"{message.level}: "
-        with suppress(SystemExit):  # rich's answer to a broken pipe
+        with suppress(SystemExit, OSError):  # rich's answer to a broken pipe; a log whose disk is full
             self._console.print(f"{_clock_time(message.time_s)}  {mark}{message.text}", soft_wrap=True, markup=False)
 
     def watch(self, rows: NDArray[np.void], what: str) -> Iterable[np.void]:
@@ -78,6 +78,7 @@ class LiveScreen:
         self._console = console
         self._status: Status | None = None
         self._drawn_s = float("-inf")
+        self._is_gone = False  # the terminal; the capture goes on until it is told to end
 
     def __enter__(self) -> Self:
         self._live.start()
@@ -88,7 +89,8 @@ class LiveScreen:
     ) -> None:
         if self._status is not None:
             self._draw(self._status)
-        self._live.stop()
+        with suppress(OSError):
+            self._live.stop()
 
     def show(self, status: Status) -> None:
         """Redraw, but not more often than an eye can follow."""
@@ -111,8 +113,13 @@ class LiveScreen:
         self._live.update("", refresh=True)
 
     def _draw(self, status: Status) -> None:
+        if self._is_gone:
+            return
         size = self._console.size
-        self._live.update(picture(status, size.width, size.height), refresh=True)
+        try:
+            self._live.update(picture(status, size.width, size.height), refresh=True)
+        except OSError:
+            self._is_gone = True
         self._drawn_s = time.monotonic()
 
 

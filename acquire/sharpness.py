@@ -51,6 +51,8 @@ def edge_blur_px(image: NDArray[np.uint8], corners_px: FloatArray, board: Board)
 
 def _median_blur_px(gray: NDArray[np.float32], start_px: FloatArray, end_px: FloatArray, reach_px: float) -> float:
     seen = np.isfinite(start_px).all(axis=1) & np.isfinite(end_px).all(axis=1)
+    if not seen.any():
+        return float("nan")
     profiles = _profiles(gray, start_px[seen], end_px[seen], reach_px)
     middle = _N_ACROSS // 2
     falls = profiles[:, : middle + 1].mean(axis=1) > profiles[:, middle:].mean(axis=1)

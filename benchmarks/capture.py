@@ -142,9 +142,10 @@ class StreamedCamera:
         assert self._stream
         return self._stream.next_frame(2.0)
 
-    def collect(self, rhythm: Rhythm | None) -> None:
+    def collect(self, rhythm: Rhythm | None) -> int:
         assert self._stream
-        self._stream.queue = None if rhythm is None else FrameQueue(rhythm)
+        ended, self._stream.queue = self._stream.queue, None if rhythm is None else FrameQueue(rhythm)
+        return 0 if ended is None else ended.n_missing_at(time.monotonic())
 
     def collected(self) -> list[Frame]:
         assert self._stream

@@ -107,7 +107,7 @@ def split_errors(layout: Literal["A", "B"], settings: Settings, number: int) -> 
     channels = description.audio.channels
     order = np.random.default_rng(number).permutation(corners.pose)
     left_out = np.sort(order[: len(order) // 3])
-    blank = StoredCalibration("blank", {"": "aislab"}, settings.method, SOFTWARE, channels, np.zeros((8, 3)),
+    blank = StoredCalibration("blank", {"": "aislab"}, settings, SOFTWARE, channels, np.zeros((8, 3)),
                               np.eye(24), 340.0, 1.0, Intrinsics(focal_px=(1, 1), principal_px=(0, 0)),
                               Recording.by(description))  # fmt: skip
     calibration = calibrate_without(Measurements(description, corners, tdoas, settings), left_out, blank)

@@ -14,7 +14,7 @@ from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
 from calib.rejections import Rejection
-from calib.result import HeldOut, Residual
+from calib.result import ChannelDelays, HeldOut, Residual
 
 FloatArray = NDArray[np.float64]
 
@@ -48,6 +48,8 @@ class Answer:
         Where a solve of more poses may start.
     speeds_m_s, speed_stds_m_s : tuple of float
         Speed of sound of each session, where there are several.
+    delays : ChannelDelays or None
+        Where they were to be found.
     """
 
     microphones_m: FloatArray
@@ -65,6 +67,7 @@ class Answer:
     speeds_m_s: tuple[float, ...] = ()
     speed_stds_m_s: tuple[float, ...] = ()
     evidence: Evidence | None = None
+    delays: ChannelDelays | None = None
 
     @property
     def covariance_m2(self) -> FloatArray:

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
 from rigs.command import run
 from rigs.target import session_files
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from calib.publication import Publication
-    from calib.settings import Method, Settings
-    from calib.sound import TdoaMode
-
 METHODS = ("joint", "ours-1", "ours-2", "ours-3")
-DIFFER = 5  # the exit code where two results do
-NOT_ALL_GOOD = 5  # of the sessions of --each
-MOST_NAMES = 3  # of sessions, in the name of their result
+WITH_EXPORT = {"files", "output", "overwrite", "export", "report"}  # what goes with a result in place of a session
+WITH_COMPARE = {"files", "compare"}
 BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
 
 
@@ -93,40 +82,22 @@ BLOCKS = ("speed", "buzzers", "scale", "corners", "intrinsics", "poses")
     help="Calibrate each session by itself, all cores at once; a result each, no report, and a table (-o) "
     "[calibrations.csv].",
 )
-@click.option("--cluster", metavar="tcp://HOST:PORT", help="With --each: a Dask scheduler whose workers compute.")
+@click.option(
+    "--cluster",
+    metavar="tcp://HOST:PORT",
+    help="Like --each, on the workers of a Dask scheduler that see the same files.",
+)
 @click.option("--compare", is_flag=True, help="Tell whether two results (not sessions) differ, and what moved.")
 @click.option("--report/--no-report", default=True, show_default=True, help="Write SESSION.report.html, for people.")
 @click.option("--plots", type=click.Choice(("png", "svg")), help="Write the report's plots as files, too.")
 @click.option(
     "--export",
     metavar="NAMES",
-    help="Write files for other tools: all, or some of acoular,pyroomacoustics,odas,ros2,urdf,kalibr,matlab,csv,json. "
-    "With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
+    help="Write files for other tools: all, or some of acoular, pyroomacoustics, odas, ros2, urdf, kalibr, matlab, "
+    "csv, json, with commas between. With a result (SESSION.calib.yaml) in place of SESSION, without solving again.",
 )
 @click.version_option(package_name="acoustic-camera-rig")
-def command(
-    files: tuple[Path, ...],
-    method: Method,
-    output: Path | None,
-    overwrite: bool,
-    seed: int,
-    tdoa: TdoaMode,
-    inspect_tdoa: int | None,
-    reference: int | None,
-    exclude_channel: tuple[int, ...],
-    hold: tuple[str, ...],
-    exact: tuple[str, ...],
-    find_delays: bool,
-    suggest_poses: int,
-    ignore_sync: bool,
-    follow: bool,
-    each: bool,
-    cluster: str | None,
-    compare: bool,
-    report: bool,
-    plots: str | None,
-    export: str | None,
-) -> int | None:
+def command(**asked: Any) -> int:
     """Find every microphone of SESSION in the camera frame, each with its standard deviation.
 
     Several sessions of one rig are solved together. Writes SESSION.calib.yaml and SESSION.report.html beside the
@@ -135,158 +106,25 @@ def command(
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 
-    from calib.export.formats import chosen_formats
-    from calib.pipeline import calibrate, calibrate_together
-    from calib.publication import Publication
-    from calib.result import check_result_target, write_calibration
-    from calib.screen import show
-    from calib.settings import Settings
-    from rigs.session.reader import Session
+    from calib.request import Request
+    from calib.tasks import task_of
 
-    console = Console()
-    if compare:
-        return _compare(files, console)
-    session = files[0]
-    _check_choices(files, one=follow or inspect_tdoa is not None, each=each, cluster=cluster)
-    _check_extras(each=each, asked=bool(plots or export))
-    if inspect_tdoa is not None:
-        _inspect(session, inspect_tdoa, tdoa, output, console)
-        return None
-    formats = chosen_formats(export)
-    if session.suffix in {".yaml", ".yml"}:
-        _export(files, output, overwrite, formats, console)
-        return None
-    target = output or _result_path(files)
-    settings = Settings(
-        method, seed, reference, exclude_channel, tdoa, hold, find_delays, suggest_poses, ignore_sync, exact
-    )
-    if each:
-        return _each(files, output, settings, cluster, console, overwrite=overwrite)
-    publication = Publication(target, overwrite, report, plots, formats)
-    if follow:
-        _follow(session, settings, publication)
-        return None
-    check_result_target(target, overwrite=overwrite)
-    publication.check()
-    with ExitStack() as stack:
-        status = stack.enter_context(console.status("opening"))
-        sessions = [stack.enter_context(Session.open(file)) for file in files]
-
-        def tell(step: str) -> None:
-            status.update(f"{step} ...")
-
-        together = len(sessions) > 1
-        result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
-        write_calibration(result, target, overwrite=overwrite)
-        tell("writing what stands beside the result")
-        published = publication.publish(sessions, result, settings)
-    show(result, target, console)
-    for line in published:
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
-    return None
+    request = Request(**asked)
+    if request.compare or request.names_result:
+        _check_of_results(WITH_COMPARE if request.compare else WITH_EXPORT)
+    return task_of(request)(request, Console())
 
 
-def _export(
-    files: tuple[Path, ...], output: Path | None, overwrite: bool, formats: tuple[str, ...], console: Console
-) -> None:
+def _check_of_results(allowed: set[str]) -> None:
+    """Refuse options that need a session where results stand in its place."""
     from calib.errors import MethodError
-    from calib.publication import Publication
-    from calib.result_file import read_result
 
-    result = files[0]
-    if len(files) > 1:
-        raise MethodError(f"{result}: a result: name one of them, or two with --compare")
-    if not formats:
-        raise MethodError(f"{result}: a result, not a session: name its session, or what to --export from it")
-    publication = Publication(output or result, overwrite, report=False, formats=formats)
-    publication.check()
-    for line in publication.export_only(read_result(result)):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
-
-
-def _check_choices(files: tuple[Path, ...], *, one: bool, each: bool, cluster: str | None) -> None:
-    if one and (each or len(files) > 1):
-        raise click.UsageError("--follow and --inspect-tdoa take one session")
-    if cluster and not each:
-        raise click.UsageError("--cluster goes with --each")
-
-
-def _check_extras(*, each: bool, asked: bool) -> None:
-    if each and asked:
-        raise click.UsageError("--each writes results and their table: leave --plots and --export to single sessions")
-
-
-def _result_path(sessions: tuple[Path, ...]) -> Path:
-    """Return where the result goes if nothing else is asked for: beside the first session."""
-    if len(sessions) > MOST_NAMES:
-        name = f"{sessions[0].stem}+{len(sessions) - 1}-more"
-    else:
-        name = "+".join(session.stem for session in sessions)
-    return sessions[0].parent / f"{name}.calib.yaml"  # a name may be empty: "." is refused later
-
-
-def _follow(session: Path, settings: Settings, publication: Publication) -> None:
-    import json
-
-    from calib.follow import follow
-    from rigs.session.reader import Session
-
-    def say(progress: dict[str, object]) -> None:
-        try:
-            click.echo(json.dumps(progress))
-        except BrokenPipeError:  # nobody reads any more; the result is still wanted
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-    publication.check()
-    result = follow(session, publication.target, settings, say, overwrite=publication.overwrite)
-    if result is not None:
-        with Session.open(session) as opened:
-            publication.publish([opened], result, settings)
-
-
-def _each(
-    files: tuple[Path, ...],
-    output: Path | None,
-    settings: Settings,
-    cluster: str | None,
-    console: Console,
-    *,
-    overwrite: bool,
-) -> int:
-    """Return 0 where every session has a result, else 5."""
-    from calib.study.fleet import SUMMARY, calibrate_each, show_fleet
-    from calib.study.workers import Workers, check_distributed
-
-    check_distributed()
-    table = output or files[0].with_name(SUMMARY)
-    workers = Workers(Workers.of_machine().number, cluster)
-    rows = calibrate_each(files, settings, workers, table, overwrite=overwrite, console=console)
-    show_fleet(rows, table, console)
-    return 0 if all(row.is_good for row in rows) else NOT_ALL_GOOD
-
-
-def _compare(files: tuple[Path, ...], console: Console) -> int:
-    """Return 5 where the results differ, else 0."""
-    from calib.comparison import compare
-    from calib.comparison_screen import show_comparison
-    from calib.result_file import read_result
-
-    if len(files) != 2:
-        raise click.UsageError(f"--compare takes two results, not {len(files)}: name two .calib.yaml files")
-    comparison = compare(*(read_result(file) for file in files))
-    show_comparison(comparison, console)
-    return DIFFER if comparison.differ else 0
-
-
-def _inspect(path: Path, number: int, tdoa: TdoaMode, output: Path | None, console: Console) -> None:
-    from calib.inspection import draw, inspect, plot_path, show_view
-    from rigs.session.reader import Session
-
-    with Session.open(path) as opened, console.status("listening"):
-        target = plot_path(path, number, output)
-        view = inspect(opened, number, tdoa)
-        draw(view, target)
-    show_view(view, target, console)
+    context = click.get_current_context()
+    for option in context.command.params:
+        assert option.name is not None
+        is_given = context.get_parameter_source(option.name) is click.core.ParameterSource.COMMANDLINE
+        if is_given and option.name not in allowed:
+            raise MethodError(f"{option.opts[-1]} does nothing with a result: leave it out, or name the session")
 
 
 def main() -> int:

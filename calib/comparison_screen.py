@@ -50,7 +50,7 @@ def _shift_table(comparison: Comparison) -> Table:
     title = f"Shifts of the microphones from {escape(names)}, camera frame, mm"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for heading in ("channel", "x", "y", "z", "length", "std", "chance", "in shape", "chance"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     rows = zip(
         comparison.first.channels, *(_cells(comparison, fit) for fit in (comparison.unmoved, comparison.rigid)),
         strict=True,
@@ -75,7 +75,7 @@ def _chance_table(comparison: Comparison) -> Table:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 1))
     table.add_column(style="dim")
     table.add_column()
-    shape = f"in shape{', but for those that moved' if comparison.rigid.moved else ''}"
+    shape = f"in shape{', without what moved' if comparison.rigid.moved else ''}"
     for name, fit in (("all shifts", comparison.unmoved), (shape, comparison.rigid)):
         square = fit.chi_square
         table.add_row(name, f"chi-square {square.value:.1f}, expected {square.n_free}; chance {_chance(square)}")
@@ -90,5 +90,5 @@ def _chance_table(comparison: Comparison) -> Table:
 def _chance(chi_square: ChiSquare) -> str:
     chance = chi_square.chance
     if chance < LEAST_CHANCE:
-        return f"< {LEAST_CHANCE:.0e}"
-    return f"{chance:.2f}" if chance >= 0.01 else f"{chance:.0e}"
+        return f"<{LEAST_CHANCE:.0e}".replace("e-0", "e-")
+    return f"{chance:.2f}" if chance >= 0.01 else f"{chance:.0e}".replace("e-0", "e-")

@@ -41,9 +41,11 @@ def conclude(parts: list[Measured], channels: tuple[int, ...], answer: Answer, s
         rejections=(*_early_rejections(parts), *answer.rejections),
         weakest=answer.weakest,
         evidence=answer.evidence,
+        delays=answer.delays,
         sessions=tuple(shares) if len(parts) > 1 else (),
         sound=parts[0].sound if len(parts) == 1 else None,
         warnings=_doubts(parts, channels, answer),
+        settings=settings,
     )
 
 

@@ -74,8 +74,8 @@ def find_pose_corners(session: Session, seen: SeenPoses | None = None, *, min_po
     note = f" ({MIN_POSES} with camera.intrinsics in the rig description)" if needed > MIN_POSES else ""
     if len(accepted) < needed:
         raise NotEnoughDataError(
-            f"the session has {len(accepted)} accepted poses, at least {needed} are needed{note}: capture a session "
-            "with more, 25 are good"
+            f"the session has {len(accepted)} accepted {'pose' if len(accepted) == 1 else 'poses'}, at least {needed} "
+            f"are needed{note}: capture a session with more, 25 are good"
         )
     measured = session.corners_px
     if measured is None:

@@ -14,7 +14,8 @@ from calib.errors import CalibrationError, MethodError, NotEnoughDataError
 from calib.memory import Memory
 from calib.pipeline import calibrate
 from calib.progress import progress
-from calib.result import Calibration, check_result_target, write_calibration
+from calib.result import Calibration
+from calib.result_writer import check_result_target, write_calibration
 from calib.settings import Settings
 from calib.sound import Ear, windows_of
 from rigs.errors import SessionError

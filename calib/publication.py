@@ -69,10 +69,10 @@ class Publication:
             contents |= drawn
         if self.report:
             contents[REPORT] = report(sessions, result, settings, self.target.name)
-            level = judge(result, sessions[0].description).level
-            said.append(f"Report: {beside(self.target, REPORT)} (verdict: {level})")
+            said.append(f"Report: {beside(self.target, REPORT)}")
         self._write(contents)
-        return said
+        verdict = judge(result, sessions[0].description)
+        return [f"Verdict: {verdict.level}. {verdict.sentence}", *said]
 
     def export_only(self, array: StoredCalibration) -> list[str]:
         """Write the exports of a result that is there already, and return the lines that say so.

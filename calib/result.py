@@ -1,15 +1,11 @@
-"""The result of a calibration, and the YAML file it leaves."""
+"""The result of a calibration."""
 
 from __future__ import annotations
 
-import os
-import tempfile
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from calib.camera import View
@@ -18,18 +14,14 @@ from calib.evidence import Evidence
 from calib.joint.next_pose import Suggestion
 from calib.joint.observability import Weakest
 from calib.joint.uncertainty import microphone_covariances
-from calib.rejections import KINDS, Rejection
+from calib.rejections import Rejection
+from calib.settings import Settings
 from rigs import __version__
 from rigs.description import RigDescription
-from rigs.errors import TargetError, TargetExistsError, reason
-from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
-from rigs.target import check_target
 
 FloatArray = NDArray[np.float64]
 
 SOFTWARE = f"acoustic-camera-rig {__version__}"
-FORMAT = "acoustic-rig-calibration"
-VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -59,6 +51,19 @@ class HeldOut:
     median_s: float
     robust_sigma_s: float
     spread_m: float
+
+
+@dataclass(frozen=True)
+class ChannelDelays:
+    """How late each channel is after the first one.
+
+    Parameters
+    ----------
+    delay_s, std_s : (n_sessions, n_mics) array
+    """
+
+    delay_s: FloatArray
+    std_s: FloatArray
 
 
 @dataclass(frozen=True)
@@ -136,6 +141,10 @@ class Calibration:
         What the result does not rest on, and why.
     sessions : tuple of SessionShare
         Where it was made from several; the speed of sound is then their mean.
+    delays : ChannelDelays or None
+        Where they were to be found.
+    settings : Settings
+        What was chosen, so that it can be made again.
     """
 
     session_name: str
@@ -159,6 +168,8 @@ class Calibration:
     rejections: tuple[Rejection, ...] = ()
     sessions: tuple[SessionShare, ...] = ()
     evidence: Evidence | None = None
+    delays: ChannelDelays | None = None
+    settings: Settings = field(default_factory=Settings)
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -174,134 +185,3 @@ class Calibration:
     def std_m(self) -> FloatArray:
         """Standard deviations (n_mics, 3) of the positions."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2)))
-
-
-def as_document(result: Calibration) -> dict[str, Any]:
-    """Return the result as plain values, as they stand in the YAML file."""
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "frame": CAMERA_FRAME,
-        "tdoa_sign": TDOA_SIGN,
-        "method": result.method,
-        "held": list(result.held),
-        "software": SOFTWARE,
-        "speed_of_sound_m_s": _rounded(result.speed_of_sound_m_s, 4),
-        "speed_of_sound_std_m_s": _rounded(result.speed_of_sound_std_m_s, 4),
-        "microphones": [
-            {
-                "channel": int(channel),
-                "position_m": _rounded(position, 7),
-                "std_m": _rounded(std, 7),
-                "covariance_m2": _significant(covariance),
-            }
-            for channel, position, std, covariance in zip(
-                result.channels, result.positions_m, result.std_m, result.covariance_m2, strict=True
-            )
-        ],
-        "residual": {
-            "robust_sigma_s": float(f"{result.residual.robust_sigma_s:.6g}"),
-            "rms_s": float(f"{result.residual.rms_s:.6g}"),
-            "n_used": result.residual.n_used,
-            "n_rejected": result.residual.n_rejected,
-        },
-        "camera": {
-            "source": result.view.source,
-            "focal_px": _rounded(result.view.intrinsics.focal_px, 4),
-            "principal_px": _rounded(result.view.intrinsics.principal_px, 4),
-            "distortion": _rounded(result.view.intrinsics.distortion, 8),
-            "corner_rms_px": _rounded(result.view.rms_px, 4),
-            "n_poses": len(result.view.board_to_camera),
-        },
-        "recording": {
-            "sample_rate_hz": float(result.recording.sample_rate_hz),
-            "channels": list(result.recording.channels),
-            "picture_size_px": list(result.recording.picture_size_px),
-        },
-        "warnings": list(result.warnings),
-    }
-    if result.sessions:
-        document["sessions"] = [
-            asdict(share) | {name: _rounded(getattr(share, name), 4) for name in asdict(share) if "speed" in name}
-            for share in result.sessions
-        ]
-    else:
-        document["session"] = {"name": result.session_name, "sha256": result.session_sha256}
-    if result.held_out is not None:
-        document["held_out"] = {name: float(f"{value:.6g}") for name, value in asdict(result.held_out).items()}
-    if result.weakest is not None:
-        document["weakest"] = asdict(result.weakest) | {"std_m": _rounded(result.weakest.std_m, 7)}
-    if result.suggestions:
-        document["suggested_poses"] = [suggestion.sentence() for suggestion in result.suggestions]
-    if result.sound is not None:
-        document["sound"] = result.sound
-    if result.rejections:
-        document["rejected"] = {
-            f"{kind}s": [rejection.document() for rejection in result.rejections if rejection.kind == kind]
-            for kind in KINDS
-        }
-    if result.evaluation is not None:
-        document["evaluation"] = asdict(result.evaluation)
-    document["array_covariance_m2"] = _significant(result.array_covariance_m2)
-    return document
-
-
-def write_calibration(result: Calibration, path: Path, *, overwrite: bool = False) -> None:
-    """Write the YAML file, whole or not at all.
-
-    Raises
-    ------
-    TargetError
-        Something is there and `overwrite` was not asked for, or it is no earlier result; or there is no such folder,
-        or it cannot be written to.
-    OSError
-        The disk is full.
-    """
-    check_result_target(path, overwrite=overwrite)
-    text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(temporary).chmod(0o644)
-        _put_in_place(Path(temporary), path, overwrite=overwrite)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-
-
-def check_result_target(path: Path, *, overwrite: bool) -> None:
-    """Refuse early what `write_calibration` would refuse; only an earlier result is ever written over.
-
-    Raises
-    ------
-    TargetError
-    """
-    if path.exists() and not overwrite:
-        raise TargetExistsError(f"{path}: already there: add --overwrite, or name another --output")
-    check_target(path, replaces="calibration" if overwrite else None)
-
-
-def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    if overwrite:
-        temporary.replace(path)
-        return
-    try:
-        path.hardlink_to(temporary)  # fails where the name is taken, even by a racing run
-    except FileExistsError as error:
-        raise TargetExistsError(f"{path}: there is already something of this name: add --overwrite") from error
-    except OSError:  # a file system without hard links
-        temporary.rename(path)
-
-
-def _rounded(values: Any, digits: int) -> Any:
-    if np.ndim(values) == 0:
-        return round(float(values), digits)
-    return [round(float(value), digits) for value in values]
-
-
-def _significant(matrix: FloatArray) -> list[list[float]]:
-    """Return a covariance to nine digits, the same for one microphone and for all."""
-    return [[float(f"{value:.9g}") for value in row] for row in matrix]

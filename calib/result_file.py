@@ -15,8 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.errors import ResultFileError
 from calib.joint.uncertainty import microphone_covariances
-from calib.result import FORMAT, VERSION, Calibration, Recording, as_document
-from calib.settings import Method
+from calib.result import Calibration, Recording
+from calib.result_document import FORMAT, VERSION, as_document
+from calib.settings import Block, Method, Settings
+from calib.sound import TdoaMode
 from rigs.description import Intrinsics
 from rigs.errors import DescriptionError, reason
 from rigs.library import load_yaml
@@ -42,7 +44,8 @@ class StoredCalibration:
         Of the file, for messages.
     sessions : dict of str to str
         What it was made from: SHA-256 of each session, and its name.
-    method : {"joint", "ours-1", "ours-2", "ours-3"}
+    settings : Settings
+        What was chosen when it was made; of an earlier version's file all but the method as usual.
     software : str
         What made it.
     channels : tuple of int
@@ -58,7 +61,7 @@ class StoredCalibration:
 
     name: str
     sessions: dict[str, str]
-    method: Method
+    settings: Settings
     software: str
     channels: tuple[int, ...]
     positions_m: FloatArray
@@ -67,6 +70,11 @@ class StoredCalibration:
     speed_of_sound_std_m_s: float
     intrinsics: Intrinsics
     recording: Recording
+
+    @property
+    def method(self) -> Method:
+        """What it was made by."""
+        return self.settings.method
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -136,6 +144,19 @@ class _Recording(_Part):
     picture_size_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
 
 
+class _Settings(_Part):
+    """All but the method; what is not there is as usual."""
+
+    seed: int = Field(0, ge=0)
+    reference_channel: Channel | None = None
+    excluded_channels: tuple[Channel, ...] = ()
+    tdoa: TdoaMode = "auto"
+    hold: tuple[Block, ...] = ()
+    find_delays: bool = False
+    ignore_sync: bool = False
+    exact: tuple[Block, ...] = ()
+
+
 class _Document(_Part):
     """The keys that are read; a result has more, for people."""
 
@@ -148,6 +169,7 @@ class _Document(_Part):
     session: _Session | None = None
     sessions: tuple[_Session, ...] = ()
     recording: _Recording
+    settings: _Settings = _Settings()
     array_covariance_m2: tuple[tuple[float, ...], ...]
 
 
@@ -184,7 +206,7 @@ def _stored(document: _Document, name: str) -> StoredCalibration:
     return StoredCalibration(
         name,
         {session.sha256: session.name for session in sessions},
-        document.method,
+        Settings(method=document.method, **document.settings.model_dump()),
         document.software,
         tuple(microphone.channel for microphone in document.microphones),
         np.array([microphone.position_m for microphone in document.microphones]),

@@ -12,10 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from calib.evaluation import Evaluation
+from calib.joint.next_pose import ONE_AFTER_ANOTHER
 from calib.rejections import KINDS, Rejection
 from calib.result import Calibration
 
 NARROWEST = 76
+VERDICTS = {"good": "bold green", "usable": "bold yellow", "do not use": "bold red"}
+DELAYS_A_LINE = 3
 WORST = 4  # of what was left out, told by name
 
 
@@ -29,10 +32,19 @@ def show(result: Calibration, path: Path, console: Console) -> None:
         console.print(_evaluation_table(result.evaluation))
         console.print()
     for warning in result.warnings:
-        console.print(_warning(warning))
+        console.print(_line("!", "bold yellow", warning))
+    if result.suggestions:
+        console.print(f"Board positions that would help most; {ONE_AFTER_ANOTHER}:")
     for number, suggestion in enumerate(result.suggestions, start=1):
-        console.print(f"next pose {number}: {escape(suggestion.sentence())}")
+        console.print(_line(f"{number}.", "bold", suggestion.sentence()))
     console.print(f"Written: {escape(str(path))}", soft_wrap=True, highlight=False)
+
+
+def show_published(lines: list[str], console: Console) -> None:
+    """Print the verdict, and what was written beside the result; its lines stay whole, so that names can be copied."""
+    for line in lines:
+        style = next((style for level, style in VERDICTS.items() if line.startswith(f"Verdict: {level}.")), "")
+        console.print(Text(line, style), soft_wrap=not style)
 
 
 def _microphone_table(result: Calibration) -> Table:
@@ -86,10 +98,28 @@ def _fit_table(result: Calibration) -> Table:
             ("TDOAs used", f"{residual.n_used} of {total}, {residual.n_rejected} rejected{measured}"),
             *_left_out(result.rejections),
             *(shares or [("speed of sound", speed)]),
+            *_delays(result),
             ("camera", f"focal length {focal} px, from the {view.source}"),
             ("board", f"{len(view.board_to_camera)} poses, corners fit to {view.rms_px:.3f} px rms"),
         ]
     )
+
+
+def _delays(result: Calibration) -> list[tuple[str, str]]:
+    """Return how late each channel is after the first one, a line per session."""
+    if result.delays is None:
+        return []
+    first, *others = result.channels
+    names = [f"{share.name}: " for share in result.sessions] or [""]
+    lines = []
+    for name, delays_s, stds_s in zip(names, result.delays.delay_s, result.delays.std_s, strict=True):
+        lines.append(f"{name}after channel {first}, in us")
+        after = [
+            f"{channel}: {1e6 * delay_s:+.2f} +- {1e6 * std_s:.2f}"
+            for channel, delay_s, std_s in zip(others, delays_s[1:], stds_s[1:], strict=True)
+        ]
+        lines += [", ".join(after[row : row + DELAYS_A_LINE]) for row in range(0, len(after), DELAYS_A_LINE)]
+    return [("delays of channels", escape("\n".join(lines)))]
 
 
 def _left_out(rejections: tuple[Rejection, ...]) -> list[tuple[str, str]]:
@@ -121,9 +151,9 @@ def _evaluation_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def _warning(text: str) -> Table:
+def _line(mark: str, style: str, text: str) -> Table:
     line = Table.grid(padding=(0, 1))
-    line.add_row(Text("!", style="bold yellow"), Text(text))
+    line.add_row(Text(mark, style=style), Text(text))
     return line
 
 

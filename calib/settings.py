@@ -8,6 +8,7 @@ from typing import Literal
 from calib.sound import TdoaMode
 
 Method = Literal["joint", "ours-1", "ours-2", "ours-3"]
+Block = Literal["speed", "buzzers", "scale", "corners", "intrinsics", "poses"]
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,13 @@ class Settings:
     reference_channel: int | None = None
     excluded_channels: tuple[int, ...] = ()
     tdoa: TdoaMode = "auto"
-    hold: tuple[str, ...] = ()
+    hold: tuple[Block, ...] = ()
     find_delays: bool = False
     suggest_poses: int = 0
     ignore_sync: bool = False
-    exact: tuple[str, ...] = ()
+    exact: tuple[Block, ...] = ()
 
     @property
-    def holds(self) -> tuple[str, ...]:
+    def holds(self) -> tuple[Block, ...]:
         """What is held, known exactly or not."""
         return tuple(dict.fromkeys((*self.hold, *self.exact)))

@@ -53,7 +53,7 @@ def _alone(session: Measured, channels: tuple[int, ...], settings: Settings) -> 
     return StoredCalibration(
         session.name,
         {session.sha256: session.name},
-        settings.method,
+        settings,
         SOFTWARE,
         channels,
         answer.microphones_m,

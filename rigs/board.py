@@ -72,6 +72,8 @@ def estimate_pose(corners_px: FloatArray, board: Board, intrinsics: Intrinsics) 
     rotation, translation = cv2.solvePnPRefineLM(
         points, pixels, matrix, distortion, rotations[0], translations[0], criteria
     )
+    if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):  # all corners in one line
+        return None
     return Pose.from_rotation_vector(cast(FloatArray, rotation), cast(FloatArray, translation))
 
 
@@ -120,8 +122,12 @@ def _charuco_corners(gray: NDArray[np.uint8], board: Board) -> FloatArray | None
     found, ids, _, _ = _charuco_detector(board).detectBoard(gray)
     if np.size(ids) < _MIN_CHARUCO_CORNERS:  # None where no marker was read: size 1
         return None
+    numbers = np.asarray(ids).ravel()
+    places = np.column_stack(np.divmod(numbers, board.corners[0]))
+    if np.linalg.matrix_rank(places - places[0]) < 2:  # corners in one line tell no pose
+        return None
     corners = np.full((board.corners[0] * board.corners[1], 2), np.nan)
-    corners[np.asarray(ids).ravel()] = np.asarray(found, dtype=float).reshape(-1, 2)
+    corners[numbers] = np.asarray(found, dtype=float).reshape(-1, 2)
     assert board.charuco is not None
     clear_of_markers = 0.5 * (1 - board.charuco.marker_size_m / board.square_size_m)
     return _refined_corners(gray, corners, board, clear_of_markers)

@@ -100,7 +100,8 @@ def _tell(name: str, message: str, exit_code: int) -> int:
     line = f"{name}: {message}"
     if sys.stderr.isatty():
         line = wrapped(line, shutil.get_terminal_size().columns)
-    print(line, file=sys.stderr)  # noqa: T201 - this is the command line
+    with suppress(OSError):  # the terminal is gone, the exit code still tells
+        print(line, file=sys.stderr)  # noqa: T201 - this is the command line
     return exit_code
 
 

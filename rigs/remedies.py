@@ -6,7 +6,7 @@ import difflib
 import re
 import reprlib
 from collections.abc import Iterator, Sequence
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -88,14 +88,15 @@ def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[st
 
     Between the keys pydantic puts which branch of a union it took; the user never wrote that.
     """
-    path, models = "", [model]
+    path, models, named = "", [model], False  # named: what follows is an entry's own name
     for part in location:
         holders = [candidate for candidate in models if part in candidate.model_fields]
-        if isinstance(part, int):
-            path = _join(path, part)
+        if isinstance(part, int) or named:
+            path, named = _join(path, part), False
         elif holders:
-            path = _join(path, part)
-            models = [inner for holder in holders for inner in _models_in(holder.model_fields[part].annotation)]
+            annotations = [holder.model_fields[part].annotation for holder in holders]
+            path, named = _join(path, part), any(get_origin(annotation) is dict for annotation in annotations)
+            models = [inner for annotation in annotations for inner in _models_in(annotation)]
         else:
             models = [candidate for candidate in models if _is_branch(candidate, part)] or models
     return path, models

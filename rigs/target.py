@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from rigs.errors import TargetError, TargetExistsError
+from rigs.errors import TargetError, TargetExistsError, reason
 
 _BEGINNINGS = {"session": b"\x89HDF\r\n\x1a\n", "calibration": b"format: acoustic-rig-calibration"}
 
@@ -71,15 +71,15 @@ def whole_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     TargetExistsError
         Something of this name is there.
     TargetError
-        There is no folder to make it in.
+        There is no folder to make it in, or that cannot be written to.
     OSError
-        That folder cannot be written to.
+        The disk is full, say.
     """
     if folder.name in ("", "..") or not folder.parent.is_dir():
         raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
     if not replace and (folder.exists() or folder.is_symlink()):
         raise TargetExistsError(f"{folder}: there is already something of this name: choose another name")
-    unfinished = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    unfinished = _hidden_folder(folder)
     try:
         unfinished.chmod(0o755)
         yield unfinished
@@ -97,10 +97,21 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises
     ------
     TargetError
-        As `check_target`.
+        As `check_target`, or its folder cannot be written to.
     """
     check_target(path)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        unfinished = Path(folder) / path.name
-        yield unfinished
-        unfinished.rename(path)
+    folder = _hidden_folder(path)
+    try:
+        yield folder / path.name
+        (folder / path.name).rename(path)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _hidden_folder(beside: Path) -> Path:
+    try:
+        return Path(tempfile.mkdtemp(dir=beside.parent, prefix=f".{beside.name}."))
+    except OSError as error:
+        raise TargetError(
+            f"{beside}: cannot be made ({reason(error)}): check the permissions or choose another folder"
+        ) from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -19,6 +20,9 @@ from rigs.session.layout import MeasuredTdoas, Truth
 from rigs.session.writer import SessionWriter
 
 LONGEST_FIRST = ("test_virtual_bench_session", "test_end_to_end", "test_acquire_board_simboard")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a shell's background: no program would hear Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SPEED_M_S = 343.0
 MICROPHONES_M = np.array(

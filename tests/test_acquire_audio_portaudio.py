@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from audio_inputs import RATE_HZ, counted, lost_samples, pulse_source, wait_until
+from audio_inputs import PULSE, RATE_HZ, counted, lost_samples, pulse_source, wait_until
 from disk_stall import stalling_disk
 from virtual_bench.pulse import pulse_server
 
@@ -20,6 +20,7 @@ from acquire.devices.recorder import Recorder
 from acquire.errors import DeviceError
 from acquire.sound_devices import SoundDevice, choose_sound_device, sound_devices
 from rigs.description import Audio, AudioDevice
+from rigs.session.layout import FLAG_OVERFLOW
 from rigs.session.reader import Session
 
 PROGRAM = Path(__file__).with_name("recording_program.py")
@@ -149,6 +150,53 @@ def test_a_recorder_that_crashes_is_reported(tmp_path, monkeypatch):
         sound_devices()
 
 
+OVERFLOWING = """
+import os, threading, time
+from types import SimpleNamespace
+
+class PortAudioError(Exception):
+    pass
+
+query_hostapis = lambda: [{"name": "fake"}]
+query_devices = lambda: [{"name": "mic", "hostapi": 0, "max_input_channels": 4, "default_samplerate": 48000.0}]
+get_portaudio_version = lambda: (0, "fake 1, of today")
+
+class RawInputStream:
+    def __init__(self, *, callback, **_):
+        self._callback = callback
+
+    def start(self):
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self):
+        times, wish = SimpleNamespace(inputBufferAdcTime=0.0, currentTime=0.0), os.environ["OVERFLOW"]
+        while True:
+            status = SimpleNamespace(input_overflow=os.path.exists(wish), input_underflow=False)
+            self._callback(bytes(16 * 480), 480, times, status)
+            if status.input_overflow:
+                os.unlink(wish)
+            time.sleep(0.01)
+"""
+
+
+def test_an_overflow_that_the_driver_tells_of_is_flagged_once(tmp_path, monkeypatch):
+    (tmp_path / "sounddevice.py").write_text(OVERFLOWING)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("OVERFLOW", str(tmp_path / "now"))
+    monkeypatch.setattr("acquire.devices.recorder._SETTLE_S", 0.1)
+    audio = PortAudioInput(Audio.model_validate(PULSE | {"device": {"name": "mic"}, "channels": (1, 2, 3, 4)}))
+    audio.open()
+    flags = []
+    try:
+        flags += [block.flags for block in audio.read()]
+        (tmp_path / "now").touch()
+        wait_until(lambda: flags.extend(block.flags for block in audio.read()) or any(flags))
+        wait_until(lambda: len(audio.read()) > 0)
+    finally:
+        audio.close()
+    assert sum(flags) == FLAG_OVERFLOW
+
+
 @pytest.mark.parametrize(
     ("wanted", "index"),
     [
@@ -174,7 +222,7 @@ def test_words_that_fit_several_devices_or_none_list_what_is_there():
 def test_the_devices_are_listed_with_their_words():
     with pulse_server() as server:
         command = [sys.executable, "-c", "from acquire.cli import main; main()", "--list-devices"]
-        run = subprocess.run(command, env=server.environment, capture_output=True, text=True, check=False)
+        run = subprocess.run(command, env=server.environment, capture_output=True, text=True, timeout=60, check=False)
     assert run.returncode == 0, run.stderr
     assert 'device: {name: "pulse", host_api: "ALSA"}' in run.stdout
     assert "Cameras" in run.stdout
@@ -186,7 +234,7 @@ def test_a_missing_library_does_not_hide_the_other_devices(tmp_path):
     (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')")
     command = [sys.executable, "-c", "from acquire.cli import main; main()", "--list-devices"]
     environment = dict(os.environ) | {"PYTHONPATH": str(tmp_path)}
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert run.returncode == 3
     assert "Serial ports" in run.stdout
     assert run.stderr.count("\n") == 1

@@ -188,7 +188,7 @@ def test_a_session_with_the_serial_board_calibrates(pace, request, tmp_path):
     (tmp_path / "rig.yaml").write_text(rig_text(description))
     for command in (["rig-capture", "--session", "s1", "--seed", "5"], ["rig-calibrate", "s1.h5"]):
         done = subprocess.run(
-            [BIN / command[0], *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
+            [BIN / command[0], *command[1:]], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
     with Session.open(tmp_path / "s1.h5") as session:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from itertools import count
+from threading import Event, Thread
 
 import cv2
 import numpy as np
@@ -96,6 +97,16 @@ def test_a_folder_without_pictures_and_one_with_a_broken_picture_are_named(tmp_p
         opencv_camera(str(tmp_path)).open()
 
 
+def test_a_folder_that_is_gone_is_one_line_and_no_traceback(tmp_path):
+    camera = opencv_camera(str(tmp_path / "pictures"))
+    (tmp_path / "gone").mkdir()
+    gone = opencv_camera(str(tmp_path / "gone"))
+    (tmp_path / "gone").rmdir()
+    for each, why in ((gone, "cannot be read .No such file"), (camera, "there is no such file or folder")):
+        with pytest.raises(DeviceError, match=why):
+            each.open()
+
+
 def test_another_size_is_refused_with_both_sizes():
     with mjpeg_server(lambda _: jpeg(picture(3, (96, 80)))) as server:
         camera = opencv_camera(server.url)
@@ -158,6 +169,24 @@ def test_other_words_on_standard_error_are_not_lost(capfd):
     with pytest.raises(DeviceError), no_jpeg_complaints():
         say_and_fail()
     assert capfd.readouterr().err == "and the house"
+
+
+def test_two_cameras_do_not_keep_standard_error_from_each_other(capfd):
+    entered, may_end = Event(), Event()
+
+    def another():
+        with no_jpeg_complaints():
+            entered.set()
+            may_end.wait(60)
+
+    thread = Thread(target=another)
+    with no_jpeg_complaints():
+        thread.start()
+        entered.wait(0.3)  # in vain: one at a time
+    may_end.set()
+    thread.join(60)
+    os.write(2, b"still there\n")
+    assert capfd.readouterr().err == "still there\n"
 
 
 def test_what_was_stored_up_while_nobody_read_is_never_handed_over():

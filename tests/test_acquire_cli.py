@@ -1,5 +1,6 @@
 """The command line rig-capture: its exit codes, its lines, its displays, and its end by a signal."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -226,6 +227,25 @@ def test_the_live_display_ends_with_the_last_state(tmp_path):
     last = console.file.getvalue().rsplit("rig-capture", maxsplit=1)[1]
     assert "finished" in last
     assert "1 of 1 saved" in last
+
+
+@pytest.mark.parametrize("screen_kind", [LiveScreen, PlainScreen])
+def test_a_terminal_that_is_gone_does_not_end_the_capture(tmp_path, screen_kind):
+    class Terminal(StringIO):
+        n_writes = 0
+
+        def write(self, text):
+            self.n_writes += 1
+            if self.n_writes > 3:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            return super().write(text)
+
+    terminal = Terminal()
+    with screen_kind(Console(file=terminal, width=80, height=24, force_terminal=True)) as screen:
+        captured(tmp_path / "s.h5", small_rig(), poses=1, screen=screen)
+    assert terminal.n_writes > 3
+    with Session.open(tmp_path / "s.h5") as session:
+        assert session.complete
 
 
 def test_the_live_display_shows_how_far_a_copy_is():

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -15,14 +16,17 @@ from scripted_board import HELLO, ScriptedBoard
 from simboard import running_board
 
 from acquire.devices.choose import choose_devices
+from acquire.devices.simulated.microphones import SimulatedMicrophones
+from acquire.devices.simulated.trigger import SimulatedTrigger
 from acquire.doctor.checkup import check_up
 from acquire.doctor.cli import cli
 from acquire.doctor.hearing import Hearing
 from acquire.doctor.row import Part, Row, State, exit_code, refusal
 from acquire.doctor.table import LiveTable, hearing_table
-from acquire.errors import DeviceError
+from acquire.errors import DeviceError, DeviceRestartedError, FirmwareError
 from rigs.command import run
 from rigs.library import FoundDescription
+from rigs.session.layout import FLAG_OVERFLOW
 
 SIX_BUZZERS = [
     {"id": 1 + 3 * row + column, "position_m": (-0.045 + 0.145 * column, -0.045 + 0.215 * row, -0.005)}
@@ -176,6 +180,54 @@ def test_a_foreign_firmware_is_exit_code_4(tmp_path):
     assert faults(rows) == {("firmware", "bad")}
     assert exit_code(rows) == 4
     assert "rig-flash" in next(row.remedy for row in rows if row.subject == "firmware")
+
+
+def test_a_board_that_comes_back_with_another_firmware_does_not_hide_the_rest(tmp_path, monkeypatch):
+    def restarted(*_):
+        raise DeviceRestartedError("/dev/ttyX: the board restarted: check its cable")
+
+    def foreign(_board):
+        raise FirmwareError("/dev/ttyX: the firmware there is grbl: run rig-flash")
+
+    def lost_while_it_plays(finding):
+        if str(finding).startswith("listening"):
+            monkeypatch.setattr(SimulatedTrigger, "play", restarted)
+            monkeypatch.setattr(SimulatedTrigger, "open", foreign)
+        return finding
+
+    rows = [lost_while_it_plays(each) for each in check_up(small_description(), tmp_path, seed=0)]
+    rows = [each for each in rows if isinstance(each, Row)]
+    assert ("trigger board", "bad") in faults(rows)
+    assert exit_code(rows) == 4
+    assert {row.part for row in rows} == set(Part)
+
+
+def test_sound_lost_between_two_buzzers_is_told_and_no_fault_of_the_channels(tmp_path, monkeypatch):
+    read, n_played, n_lost = SimulatedMicrophones.read, [], []
+    play = SimulatedTrigger.play
+
+    def counted(board, *arguments):
+        n_played.append(board)
+        return play(board, *arguments)
+
+    def lossy(microphones):
+        for block in read(microphones):
+            if len(n_played) == 1 and sum(n_lost) < 0.2 * 48000:
+                n_heard.append(len(block.samples))
+                if sum(n_heard) > 0.3 * 48000:  # the first has sounded
+                    n_lost.append(len(block.samples))
+                    continue
+            yield replace(block, flags=FLAG_OVERFLOW) if n_lost and not n_told else block
+            n_told.extend(n_lost)
+
+    n_heard, n_told = [], []
+    monkeypatch.setattr(SimulatedTrigger, "play", counted)
+    monkeypatch.setattr(SimulatedMicrophones, "read", lambda microphones: list(lossy(microphones)))
+    rows, hearing = checked(tmp_path, small_description(audio={"sample_rate_hz": 48000}))
+    assert sum(n_lost) >= 0.2 * 48000
+    assert len(n_played) == 2
+    assert faults(rows) == {("samples", "look")}
+    np.testing.assert_allclose(hearing.onset_s, 0.003, atol=0.003)
 
 
 def test_every_missing_device_has_its_row(tmp_path):

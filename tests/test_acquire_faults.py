@@ -3,14 +3,18 @@
 import time
 from collections import namedtuple
 from dataclasses import replace
+from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from capturing import captured, small_rig, with_fault
+from capturing import Listener, captured, small_rig, with_fault
 
 from acquire import capture as capture_module
 from acquire.clock import MonotonicClock
-from acquire.errors import CaptureQualityError, DeviceError, DiskShortError, InterruptedCaptureError
+from acquire.errors import CaptureQualityError, DeviceError, DeviceLostError, DiskShortError, InterruptedCaptureError
+from acquire.reconnection import Reconnection
+from acquire.status import Status
 from rigs.errors import SessionWriteError, TargetError
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
 from rigs.session.reader import Session
@@ -107,6 +111,45 @@ def test_a_device_that_is_lost_again_and_again_is_given_up(tmp_path):
             captured(tmp_path / "s.h5", found)
 
 
+def test_losses_are_counted_anew_after_a_good_pose(tmp_path, monkeypatch):
+    rig, plays = capture_module.choose_devices(small_rig().description), []
+    play = rig.trigger.play
+
+    def stubborn(buzzer, waveform):
+        plays.append(buzzer)
+        if plays.count(1) in (1, 2, 3, 5, 6, 7):  # three times in each of two poses
+            raise DeviceError("trigger board: no answer")
+        return play(buzzer, waveform)
+
+    monkeypatch.setattr(rig.trigger, "play", stubborn)
+    monkeypatch.setattr(capture_module, "choose_devices", lambda *_, **__: rig)
+    assert captured(tmp_path / "s.h5", poses=2).status.saved == 2
+    assert plays.count(1) == 8
+
+
+def test_a_second_device_lost_while_the_first_is_opened_is_brought_back_too():
+    opened, reopened, description = [], [], small_rig().description
+
+    def attend(part, _call, *, is_open):
+        assert not is_open
+        opened.append(part)
+        if opened == ["trigger"]:
+            raise DeviceLostError("gone", "audio")
+        return "driver 1"
+
+    recording = SimpleNamespace(
+        rig=capture_module.choose_devices(description),
+        status=Status("r", "s", (1,), 1, 1),
+        say=lambda *_: None,
+        attend=attend,
+        reopened=reopened.append,
+        record=lambda _: None,
+    )
+    Reconnection(recording, description).restore(DeviceLostError("lost", "trigger"))
+    assert opened == ["trigger", "audio", "trigger"]
+    assert reopened == ["audio", "trigger"]
+
+
 def test_a_frozen_camera_is_opened_again_and_the_pose_repeated(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("camera_frozen", pose=1))
     assert "camera: the simulated camera is frozen: take the cap off its lens" in listener.warnings()
@@ -166,6 +209,23 @@ def test_a_disk_that_is_short_already_is_refused_before_anything_is_made(tmp_pat
     assert not (tmp_path / "s.h5").exists()
 
 
+def test_a_folder_that_is_moved_away_ends_the_session_well(tmp_path):
+    class Mover(Listener):
+        def say(self, message):
+            super().say(message)
+            if "pose 1 of 4 is good" in message.text:
+                (tmp_path / "there").rename(tmp_path / "elsewhere")
+
+    (tmp_path / "there").mkdir()
+    with pytest.raises(DiskShortError, match=r"its folder is gone \(No such file or directory\): look") as end:
+        captured(tmp_path / "there" / "s.h5", poses=4, screen=Mover())
+    assert end.value.exit_code == 3
+    with Session.open(tmp_path / "elsewhere" / "s.h5") as session:
+        assert session.complete
+        assert session.verify() == []
+        assert session.poses["accepted"].sum() == 1
+
+
 def test_a_session_that_may_not_fit_is_warned_of(tmp_path, monkeypatch):
     found = small_rig(audio={"sample_rate_hz": 96000}, capture={"poses": 400})
     monkeypatch.setattr("acquire.disk.shutil.disk_usage", lambda _: Usage(0, 0, 9_000_000_000))
@@ -221,6 +281,20 @@ def test_a_wish_to_stop_is_heard_while_a_device_is_being_opened(tmp_path):
         with pytest.raises(InterruptedCaptureError, match="interrupted before the devices were open: nothing was rec"):
             captured(tmp_path / "s.h5", stop_wanted=lambda: True)
     assert not (tmp_path / "s.h5").exists()
+
+
+def test_ctrl_c_that_ends_what_a_device_has_started_is_no_fault_of_the_device(tmp_path, monkeypatch):
+    rig = capture_module.choose_devices(small_rig().description)
+    pressed = Event()
+
+    def crash():
+        pressed.set()
+        raise DeviceError("audio: PortAudio crashed")
+
+    monkeypatch.setattr(rig.audio, "open", crash)
+    monkeypatch.setattr(capture_module, "choose_devices", lambda *_, **__: rig)
+    with pytest.raises(InterruptedCaptureError, match="interrupted before the devices were open"):
+        captured(tmp_path / "s.h5", stop_wanted=pressed.is_set)
 
 
 def test_digital_silence_on_all_microphones_is_named(tmp_path):

@@ -1,5 +1,7 @@
 """The frames of a pose: in their rhythm, and counted where they are missing."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from capturing import captured, small_rig
@@ -7,6 +9,8 @@ from capturing import captured, small_rig
 from acquire import capture
 from acquire.devices.base import Frame, Rhythm
 from acquire.devices.frame_queue import FrameQueue
+from acquire.errors import DeviceError
+from acquire.film import Film
 from rigs.session.reader import Session
 
 
@@ -51,6 +55,32 @@ def test_frames_that_find_no_room_are_counted_and_those_that_wait_are_kept():
     assert [each.n_missing for each in queue.take()] == [4]
 
 
+def test_frames_that_never_come_before_the_end_are_counted():
+    queue = FrameQueue(Rhythm(100.0, 0.2), most_bytes=300)
+    for number in range(1, 6):
+        queue.put(frame(100 + 0.2 * number))
+    assert queue.n_missing_at(101.1) == 2  # of which was no room for
+    assert queue.n_missing_at(101.9) == 5
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_what_the_camera_still_holds_at_the_end_is_stored_and_its_loss_is_left_to_others(is_lost):
+    def collected():
+        if is_lost:
+            raise DeviceError("camera: gone")
+        return [frame(100.2)]
+
+    stored = []
+    camera = SimpleNamespace(collect=lambda rhythm: 3 if rhythm is None else 0, collected=collected)
+    writer = SimpleNamespace(append_frame=lambda _image, **keys: stored.append(keys["host_time_s"]))
+    film = Film(camera, writer, small_rig().description)
+    film.begin(frame(100.0), 0)
+    between = film.end()
+    assert stored == ([100.0] if is_lost else [100.0, 100.2])
+    assert len(between) == len(stored) - 1
+    assert film.n_missing == 3
+
+
 class StutteringCamera:
     """A camera that sends nothing for some time in every emission."""
 
@@ -79,6 +109,17 @@ def test_missing_frames_are_warned_of_once_per_pose_and_counted_at_the_end(tmp_p
         lines = [text.decode() for text in session.log["text"]]
         n_missing = next(line.split(": ")[1].split(" ")[0] for line in lines if "of its frames are missing" in line)
         assert f"{len(session.frames)} frames stored, {n_missing} missing" in lines
+
+
+def test_a_camera_that_sends_nothing_all_the_pose_is_warned_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(FrameQueue, "is_due", lambda *_: False)
+    listener = captured(tmp_path / "s.h5", poses=1)
+    with Session.open(tmp_path / "s.h5") as session:
+        (pose,), n_frames = session.poses, len(session.frames)
+    n_intervals = round((pose["end_host_time_s"] - pose["start_host_time_s"]) / 0.1)
+    n_missing = int(listener.warnings().split(" of its frames are missing")[0].split()[-1])
+    assert n_frames == 2
+    assert n_missing == pytest.approx(n_intervals, abs=3)
 
 
 def test_no_missing_frame_is_said_at_the_end(tmp_path):

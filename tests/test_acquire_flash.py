@@ -149,6 +149,15 @@ def test_what_avrdude_says_is_shown_on_request_and_where_it_is_not_understood(ca
     assert said.splitlines()[-1].startswith(f"rig-flash: avrdude failed at {mute_port}, for the reason it gives above")
 
 
+def test_bytes_that_are_no_text_are_no_fault_of_this_software(capsys, image, mute_port, monkeypatch, tmp_path):
+    avrdude = tmp_path / "avrdude"
+    avrdude.write_text("#!/bin/sh\nprintf 'avrdude: got \\377\\n'; exit 1\n")
+    avrdude.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert rig_flash("--port", mute_port, "--board", "uno", "--image", image) == 3
+    assert f"avrdude failed at {mute_port}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("board", "guess"), [("uno", ""), ("nano", "try --board nano-old"), ("nano-old", "try --board nano,"), ("mega", "")]
 )

@@ -258,6 +258,18 @@ def test_what_a_killed_resumption_left_is_cleared_away(path):
     assert [each.name for each in path.parent.iterdir()] == ["s1.h5"]
 
 
+def test_a_link_to_a_session_stays_one_and_its_journal_is_found(cut_off, tmp_path):
+    link = tmp_path / "link.h5"
+    link.symlink_to(cut_off)
+    listener = resumed(link, poses=2)
+    assert ", and pose 1 in part" in listener.messages[0].text
+    assert link.is_symlink()
+    with Session.open(cut_off) as session:
+        assert session.complete
+        assert session.poses["accepted"].sum() == 2
+    assert [each.name for each in tmp_path.iterdir() if each.is_file()] == ["link.h5"]
+
+
 def test_a_session_that_has_all_poses_is_refused(path, capsys):
     assert rig_capture("--session", path, "--resume", "--poses", 2) == 2
     assert "has 2 good poses already: ask for more with --poses" in capsys.readouterr().err
@@ -325,6 +337,25 @@ def test_another_seed_is_refused(path, capsys):
     assert "began with --seed 5, so it cannot go on with --seed 6" in capsys.readouterr().err
 
 
+def test_a_session_that_begins_with_measurements_cannot_go_on(tmp_path, capsys):
+    path, found = tmp_path / "s1.h5", small_rig()
+    columns, rows = found.description.board.corners
+    with SessionWriter.create(
+        path,
+        name="s1",
+        description_text=found.text,
+        n_channels=len(found.description.audio.recorded_channels()),
+        sample_rate_hz=found.description.audio.sample_rate_hz,
+        versions={},
+        corners_px=np.zeros((1, columns * rows, 2)),
+    ) as writer:
+        writer.append_pose(pose=0, start_host_time_s=0.0, end_host_time_s=1.0, accepted=True)
+    content = path.read_bytes()
+    assert rig_capture("--session", path, "--resume") == 2
+    assert "begins with measured corners or TDOAs" in capsys.readouterr().err
+    left_alone(path, content)
+
+
 def test_a_session_that_is_not_there_cannot_go_on(tmp_path, capsys):
     assert rig_capture("--session", tmp_path / "s1", "--resume") == 5
     assert "no such file" in capsys.readouterr().err
@@ -335,8 +366,10 @@ def test_an_existing_session_names_resume(path, capsys):
     assert capsys.readouterr().err.endswith("choose another name, or go on with that session: --resume\n")
 
 
-def test_a_session_that_is_being_recorded_cannot_go_on(path):
+@pytest.mark.parametrize("name", ["s2.h5", "link.h5"])
+def test_a_session_that_is_being_recorded_cannot_go_on(path, name):
     living = path.with_name("s2.h5")
+    path.with_name("link.h5").symlink_to(living)
     with (
         Session.open(path) as session,
         SessionWriter.create(
@@ -349,4 +382,4 @@ def test_a_session_that_is_being_recorded_cannot_go_on(path):
         ),
         pytest.raises(RigError, match="another program still records into it"),
     ):
-        look_into(living, None, None)
+        look_into(path.with_name(name), None, None)

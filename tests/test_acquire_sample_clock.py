@@ -55,6 +55,16 @@ def test_the_stated_uncertainty_covers_the_error_which_a_median_leaves_in_full(n
     assert np.abs(errors_s).max() < 0.0005  # a median would be off by the typical lateness, 1.4 ms
 
 
+@pytest.mark.parametrize("early_s", [0.008, 0.02, 0.04])
+def test_a_second_of_early_blocks_does_not_move_the_line_of_a_recording_that_has_just_begun(early_s):
+    clock = SampleClock(RATE_HZ)
+    samples, hosts_s = late_stamps(300)
+    began, ended = np.searchsorted(samples, [4 * RATE_HZ, 5.2 * RATE_HZ])
+    hosts_s[began:ended] -= early_s
+    assert not fed(clock, samples[:ended], hosts_s[:ended])
+    assert clock.sample_at(START_S + 5.0) / RATE_HZ == pytest.approx(5.0, abs=0.001)
+
+
 def test_one_block_gives_the_offset():
     clock = SampleClock(RATE_HZ)
     assert clock.sample_at(1.0) is None

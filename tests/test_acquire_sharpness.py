@@ -6,7 +6,8 @@ import pytest
 from simulated import make_description, open_rig
 
 from acquire.sharpness import edge_blur_px
-from rigs.board import find_corners
+from rigs.board import charuco_board, estimate_pose, find_corners
+from rigs.description import Intrinsics
 
 BOARD = make_description().board
 SQUARE_PX, FINE = 32, 8
@@ -77,3 +78,26 @@ def test_hidden_corners_are_left_out_and_none_at_all_is_unknown():
     hidden_px[5:20] = np.nan
     assert edge_blur_px(picture, hidden_px, BOARD) == pytest.approx(blur_px(picture), abs=0.05)
     assert np.isnan(edge_blur_px(picture, np.full_like(corners_px, np.nan), BOARD))
+
+
+def test_a_board_of_which_one_line_of_corners_is_seen_is_measured_in_that_direction_and_has_no_pose():
+    picture = cv2.blur(board_picture(0.0), (9, 1))
+    columns, rows = BOARD.corners
+    grid = find_corners(picture, BOARD).reshape(rows, columns, 2)
+    only = [np.full_like(grid, np.nan) for _ in range(2)]
+    only[0][2], only[1][:, 3] = grid[2], grid[:, 3]
+    row_px, column_px = (edge_blur_px(picture, each.reshape(-1, 2), BOARD) for each in only)
+    assert row_px < 1.0
+    assert column_px == pytest.approx(9 / np.sqrt(12), rel=0.15)
+    camera = Intrinsics(focal_px=(800.0, 800.0), principal_px=(320.0, 240.0))
+    assert [estimate_pose(each.reshape(-1, 2), BOARD, camera) for each in only] == [None, None]
+
+
+@pytest.mark.parametrize(("n_rows", "n_seen"), [(2, None), (3, 16)])
+def test_a_charuco_board_of_which_one_row_of_corners_is_seen_is_not_found(n_rows, n_seen):
+    charuco = {"marker_size_m": 0.022}
+    board = make_description(board={"pattern": "charuco", "corners": (8, 5), "charuco": charuco}).board
+    picture = np.pad(charuco_board(board).generateImage((540, 360)), 40, constant_values=255)
+    picture[40 + n_rows * 60 :] = 255
+    corners_px = find_corners(picture, board)
+    assert n_seen == (None if corners_px is None else np.isfinite(corners_px).all(axis=1).sum())

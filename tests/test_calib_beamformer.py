@@ -1,5 +1,6 @@
 """A captured session all the way: to Acoular's beamformer, to a report with its photograph, to README's picture."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -20,8 +21,9 @@ BLOCK, SAMPLES = 512, 4800  # of a sweep of 0.1 s
 def session(tmp_path_factory) -> Path:
     """Return a session beside which stand its result, its report, and Acoular's geometry."""
     path = capture_short(tmp_path_factory.mktemp("heard"), "s1")
-    said = shell("rig-calibrate", path, "--export", "acoular", cwd=path.parent)
-    assert said.splitlines()[-1].startswith(f"Report: {path.with_suffix('.report.html')} (verdict: ")
+    said = shell("rig-calibrate", path, "--export", "acoular,pyroomacoustics", cwd=path.parent)
+    assert said.splitlines()[-1] == f"Report: {path.with_suffix('.report.html')}"
+    assert re.search("^Verdict: (good|usable). 8 microphones are placed", said, re.MULTILINE)
     return path
 
 
@@ -39,10 +41,9 @@ def acoular(monkeypatch, tmp_path):
 def test_acoulars_beamformer_finds_each_buzzer_within_a_degree(session, acoular):
     microphones = acoular.MicGeom(file=str(session.with_suffix(".acoular.xml")))
     with Session.open(session) as opened:
-        emissions, truth = opened.emissions, opened.truth
-        buzzers = [buzzer.id for buzzer in opened.description.board.buzzers]
-    for row in range(0, len(emissions), len(buzzers) + 1):  # each buzzer, at a pose of its own
-        pose, buzzer, first = (int(emissions[row][name]) for name in ("pose", "buzzer", "expected_sample"))
+        emissions, n_buzzers = opened.emissions, len(opened.description.board.buzzers)
+    for row in range(0, len(emissions), n_buzzers + 1):  # each buzzer, at a pose of its own
+        first = int(emissions[row]["expected_sample"])
         sound = acoular.MaskedTimeSamples(file=str(session), start=first, stop=first + SAMPLES)
         spectra = acoular.PowerSpectra(source=sound, block_size=BLOCK, window="Hanning", overlap="50%")
         rough = acoular.RectGrid3D(x_min=-0.6, x_max=0.6, y_min=-0.4, y_max=0.4, z_min=0.35, z_max=1.2, increment=0.03)
@@ -53,10 +54,7 @@ def test_acoulars_beamformer_finds_each_buzzer_within_a_degree(session, acoular)
             x_min=low[0], x_max=high[0], y_min=low[1], y_max=high[1], z_min=low[2], z_max=high[2], increment=0.005
         )
         found = brightest(acoular, microphones, spectra, fine, (2000, 6000))
-        to_camera = truth.board_to_camera[pose]
-        true = to_camera[:3, :3] @ truth.buzzers_m[buzzers.index(buzzer)] + to_camera[:3, 3]
-        cosine = found @ true / np.linalg.norm(found) / np.linalg.norm(true)
-        assert np.degrees(np.arccos(cosine)) < 1, f"pose {pose}, buzzer {buzzer}"
+        assert angle_deg(found, true_m(session, row)) < 1, f"emission {row}"
 
 
 def brightest(acoular, microphones, spectra, grid, band_hz: tuple[float, float]) -> np.ndarray:
@@ -74,7 +72,33 @@ def test_the_page_of_acoular_works(session, acoular, monkeypatch):
     names: dict = {}
     exec(compile(block, "acoular.md", "exec"), names)
     assert names["picture"].shape == (61, 41)
-    assert names["picture"].max() > 0
+    loudest_m = names["grid"].pos[:, names["picture"].argmax()]
+    assert angle_deg(loudest_m, true_m(session, 0)) < 3  # a grid of 2 cm at 0.7 m is 1.6 degrees
+
+
+def test_the_page_of_pyroomacoustics_works(session, monkeypatch):
+    monkeypatch.chdir(session.parent)
+    block = (ROOT / "docs/consumers/pyroomacoustics.md").read_text().split("```python\n")[1].split("```")[0]
+    names: dict = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        exec(compile(block, "pyroomacoustics.md", "exec"), names)
+    azimuth, colatitude = names["finder"].azimuth_recon[0], names["finder"].colatitude_recon[0]
+    found = [np.cos(azimuth) * np.sin(colatitude), np.sin(azimuth) * np.sin(colatitude), np.cos(colatitude)]
+    assert angle_deg(np.array(found), true_m(session, 0)) < 5  # its grid of directions is as coarse
+
+
+def true_m(path: Path, emission: int) -> np.ndarray:
+    """Return where an emission truly came from, camera frame."""
+    with Session.open(path) as session:
+        row, truth = session.emissions[emission], session.truth
+        numbers = [one.id for one in session.description.board.buzzers]
+    to_camera = truth.board_to_camera[row["pose"]]
+    return to_camera[:3, :3] @ truth.buzzers_m[numbers.index(row["buzzer"])] + to_camera[:3, 3]
+
+
+def angle_deg(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(first @ second / np.linalg.norm(first) / np.linalg.norm(second))))
 
 
 def test_the_report_shows_a_photograph_and_the_noise_floor(session):

@@ -202,7 +202,7 @@ def test_too_few_poses(tmp_path, simulated_description, capsys, accepted):
     path = write_measured_session(tmp_path / "few.h5", simulated_description, accepted=accepted)
     exit_code, error = refused(capsys, path)
     assert exit_code == 5
-    assert f"{accepted} accepted poses" in error
+    assert f"{accepted} accepted {'pose' if accepted == 1 else 'poses'}, at least" in error
     assert "capture a session with more" in error
 
 

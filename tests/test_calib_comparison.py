@@ -15,6 +15,7 @@ from calib.comparison_screen import verdict
 from calib.errors import MethodError
 from calib.result import SOFTWARE, Recording
 from calib.result_file import StoredCalibration, read_result
+from calib.settings import Settings
 from rigs.command import run
 from rigs.description import Intrinsics
 from rigs.geometry import Pose, rotation_matrix
@@ -36,7 +37,7 @@ def measured(generator: np.random.Generator, places_m: np.ndarray, name: str) ->
     errors_m = generator.multivariate_normal(np.zeros(24), covariance_m2).reshape(8, 3)
     places_m = places_m + errors_m
     return StoredCalibration(
-        name, {name: name}, "joint", SOFTWARE, CHANNELS, places_m, covariance_m2, 340.0, 1.0, INTRINSICS, RECORDING
+        name, {name: name}, Settings(), SOFTWARE, CHANNELS, places_m, covariance_m2, 340.0, 1.0, INTRINSICS, RECORDING
     )
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import runpy
 import shutil
 import subprocess
@@ -201,6 +202,18 @@ def test_a_result_alone_needs_an_export(result, capsys):
     assert "a result, not a session" in refusal(capsys, result)
 
 
+@pytest.mark.parametrize(
+    "arguments", [("--plots", "png"), ("--method", "ours-2"), ("--suggest-poses", 2), ("--hold", "speed")]
+)
+def test_what_needs_the_session_is_refused_with_a_result(result, capsys, arguments):
+    error = refusal(capsys, result, "--export", "all", *arguments)
+    assert f"{arguments[0]} does nothing with a result" in error
+
+
+def test_a_comparison_takes_nothing_else(result, capsys):
+    assert "--export does nothing with a result" in refusal(capsys, result, result, "--compare", "--export", "csv")
+
+
 def edited(change):
     def edit(text: str) -> str:
         document = yaml.safe_load(text)
@@ -284,13 +297,30 @@ def test_snippets_of_the_pages_work(exported, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pages = sorted((Path(__file__).parents[1] / "docs" / "consumers").glob("*.md"))
     assert {page.stem for page in pages} >= {"acoular", "pyroomacoustics", "odas", "ros2", "kalibr", "matlab", "tables"}
-    n_blocks = 0
     for page in pages:
-        for block in page.read_text().split("```python\n")[1:]:
+        blocks = page.read_text().split("```python\n")[1:]
+        assert blocks, page.name
+        for block in blocks:
             code = block.split("```")[0]
-            n_blocks += 1
             if ".h5" not in code:  # test_calib_beamformer.py runs those that need a session
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     exec(compile(code, page.name, "exec"), {})
-    assert n_blocks >= 6
+
+
+def test_commands_of_the_pages_write_the_files_that_they_name(result, tmp_path, monkeypatch):
+    """Every `rig-calibrate` of docs/consumers makes what its comment says and the page's code opens."""
+    monkeypatch.chdir(tmp_path)
+    asked = set()
+    for page in sorted((Path(__file__).parents[1] / "docs" / "consumers").glob("*.md")):
+        text = page.read_text()
+        for line in re.findall(r"^    rig-calibrate (.*)$", text, re.MULTILINE):
+            command, _, comment = line.partition("#")
+            names = command.split("--export")[1].split()[0]
+            asked |= set(names.split(","))
+            assert calibrate(result, "--export", names, "--overwrite") == 0
+            for file in re.findall(r"s1\.[a-z0-9.]+[a-z]", comment):
+                assert (tmp_path / file).exists(), (page.name, file)
+        for file in set(re.findall(r"s1\.[a-z0-9.]+[a-z]", text)) - {"s1.h5"}:
+            assert (tmp_path / file).exists(), (page.name, file)
+    assert asked == set(FORMATS)

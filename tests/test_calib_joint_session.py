@@ -10,7 +10,7 @@ from measured_rig import CHANNELS, Rig, bent_rig, make_rig
 from calib.errors import CalibrationError
 from calib.joint.assemble import pair_tdoas
 from calib.joint.heldout import hold_out
-from calib.joint.next_pose import suggest_poses
+from calib.joint.next_pose import Suggestion, suggest_poses
 from calib.joint.observability import board_tilts_deg, observability_doubts
 from calib.joint.session import answer_jointly
 from calib.joint.uncertainty import microphone_covariances, shared_covariance
@@ -110,6 +110,36 @@ def test_suggestions_are_sentences():
     answer = answered(make_rig(0), suggest_poses=2)
     assert len(answer.suggestions) == 2
     assert all("board centre at x" in suggestion.sentence() for suggestion in answer.suggestions)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "edge_m", "words"),
+    [
+        ((30.0, 0.0), (0.0, -0.1, 0.0), "30 degrees with the edge at the picture's top nearer"),
+        ((-30.0, 0.0), (0.0, 0.1, 0.0), "30 degrees with the edge at the picture's bottom nearer"),
+        ((0.0, 20.0), (0.1, 0.0, 0.0), "20 degrees with the edge at the picture's right nearer"),
+        ((0.0, -20.0), (-0.1, 0.0, 0.0), "20 degrees with the edge at the picture's left nearer"),
+    ],
+)
+def test_the_edge_that_comes_nearer_is_named(tilt_deg, edge_m, words):
+    assert words in Suggestion(np.array([0.0, 0.0, 0.5]), tilt_deg, 1e-3, 2e-3).sentence()
+    assert (rotation_matrix(np.radians([*tilt_deg, 0.0])) @ edge_m)[2] < 0
+
+
+def test_delays_of_channels_are_found_after_the_first():
+    squares = []
+    for seed in range(4):
+        rig = make_rig(seed)
+        late_s = np.random.default_rng(seed).uniform(-3e-4, 3e-4, 8)
+        found = answered(replace(rig, arrival_s=rig.arrival_s + late_s), find_delays=True)
+        assert found.delays.delay_s[0, 0] == found.delays.std_s[0, 0] == 0.0
+        errors_s = found.delays.delay_s[0] - (late_s - late_s[0])
+        squares += ((errors_s / np.maximum(found.delays.std_s[0], 1e-12))[1:] ** 2).tolist()
+        assert not any("late" in warning for warning in found.warnings)
+        assert np.linalg.norm(found.microphones_m - rig.truth.microphones_m, axis=1).max() < 5 * worst_std_m(
+            found.array_covariance_m2
+        )
+    assert 0.4 < np.mean(squares) < 2.0
 
 
 def test_suspects_are_told_in_words():

@@ -22,7 +22,7 @@ from calib.report.page import report as report_page
 from calib.report.plots import COLOURS
 from calib.report.residuals import by_buzzer, by_channel, corner_rms_by_pose
 from calib.report.verdict import judge
-from calib.report.words import command_line, settings_table, short, weak_directions
+from calib.report.words import command_line, settings_table, short, two_digits, weak_directions
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs.command import run
@@ -251,6 +251,16 @@ def test_verdict_is_that_of_the_worst_criterion(calibrated):
     assert changed(calibrated, speed_of_sound_m_s=result.speed_of_sound_m_s + 10) == "do not use"
 
 
+def test_the_reason_of_the_verdict_is_told_with_its_limit(calibrated):
+    result, description = calibrated
+    poor = dataclasses.replace(result, view=dataclasses.replace(result.view, rms_px=2.0), warnings=["a doubt"])
+    assert judge(poor, description).sentence == (
+        "Do not rely on these positions, because of: corners of the board (2 px; usable: ≤ 1.5 px)."
+    )
+    sentence = judge(dataclasses.replace(result, warnings=["a doubt"]), description).sentence
+    assert sentence.endswith("Use them with care, because of: warnings (1; good: none).")
+
+
 def test_weak_directions_are_named(calibrated):
     covariance_m2 = calibrated[0].array_covariance_m2.copy()
     covariance_m2[12:15, 12:15] = np.diag([1e-8, 1e-8, 9e-6])  # of the fifth microphone
@@ -285,6 +295,13 @@ def test_every_setting_is_told_and_part_of_the_command(name):
 )
 def test_numbers_are_short_and_have_no_exponent(value, words):
     assert short(value) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0.0496, "0.050"), (0.0996, "0.10"), (1.96, "2.0"), (49.4, "49"), (121.4, "120"), (0.0, "0")]
+)
+def test_numbers_side_by_side_have_as_many_digits(value, words):
+    assert two_digits(value) == words
 
 
 def test_residuals_are_grouped(calibrated):
@@ -396,5 +413,5 @@ def test_several_sessions_have_one_report(tmp_path, simulated_description):
 def test_each_of_many_sessions_has_no_exports(tmp_path, simulated_description, capsys):
     session = write_measured_session(tmp_path / "s1.h5", simulated_description)
     assert run_calibrate(session, "--each", "--export", "csv") == 2
-    assert "leave --plots and --export" in capsys.readouterr().err
+    assert "--export from a result afterwards" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [session]

@@ -9,7 +9,7 @@ import yaml
 
 from calib.cli import command as calibrate
 from calib.errors import ResultFileError
-from calib.result import FORMAT, VERSION
+from calib.result_document import FORMAT, VERSION
 from calib.result_file import MAX_BYTES, read_result
 from calib.verification.cli import command as verify
 from rigs.command import run

@@ -3,12 +3,14 @@
 import csv
 import errno
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from conftest import AISLAB
 
 pytest.importorskip("pyarrow")
@@ -17,6 +19,7 @@ import pyarrow.parquet as pq
 
 from calib.study import cli, part
 from calib.study.cli import main
+from calib.study.description import StudyDescription
 from calib.study.library import find_study, shipped_studies
 
 SMALL = """
@@ -77,12 +80,41 @@ def test_all_quick(rig_study, tmp_path):
     assert made == (simulated | measured if published else simulated)
     figures = {path.name for path in (tmp_path / "out").glob("*/*.svg")}
     assert figures == ({"noise.svg", "microphones.svg", "space.svg", "poses.svg"} if published else {"noise.svg"})
+    assert "made with --quick" in report
     if published:
-        assert "| *the paper prints* | *24.44* |" in report
+        assert "| *the paper prints* | | *24.44* |" in report
         assert "26.06" in report
     else:
-        assert "stand-ins" in out
-        assert "left out" in out
+        for text in (out, report):
+            assert "stand-ins, drawn at random" in text
+            assert "table3, fig3 and fig4 are left out" in text
+
+
+def test_every_cell_of_a_study_is_shown(rig_study, small, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")
+    two = "{ring: {kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2}, cube: {kind: cube}}"
+    text = SMALL.replace("{ring: {kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2}}", two).replace(
+        "[ring]", "[ring, cube]"
+    )
+    exit_code, out, err = rig_study(small(text), "--workers", "1")
+    assert exit_code == 0, err
+    page = (tmp_path / "out" / "small" / "page.md").read_text(encoding="utf-8")
+    with (tmp_path / "out" / "small" / "summary.csv").open() as stream:
+        summary = list(csv.DictReader(stream))
+    assert len({row["rmse_m"] for row in summary}) == len(summary) == 16
+    for row in summary:
+        shown = f"{1e3 * float(row['rmse_m']):.4g}"
+        (line,) = [line for line in page.splitlines() if line.startswith("|") and f" {shown} |" in line]
+        for word in (
+            f"array {row['array']}",
+            f"noise {row['noise']}",
+            "(one reference)" if row["method"] == "ours-1" else "(all pairs)",
+        ):
+            assert word in line
+        assert shown in out
+    figure = (tmp_path / "out" / "small" / "poses.svg").read_text(encoding="utf-8")
+    for words in ("array cube, noise loud", "array ring, noise quiet", "Cramer-Rao bound", ">small<"):
+        assert words in figure
 
 
 def test_a_study_of_ones_own(rig_study, small, tmp_path):
@@ -181,7 +213,12 @@ def test_an_interrupt_keeps_what_was_finished(rig_study, small, tmp_path, monkey
         ("repetitions: 7", "repetitons: 7", "repetitons: unknown key; did you mean repetitions?"),
         ("repetitions: 7", "repetitions: 0", "repetitions: 0 is less than 1: give at least 1"),
         ("repetitions: 7", "repetitions: many", "repetitions: 'many' is not a whole number"),
-        ("n_mics: 5", "n_mics: 1", "n_mics: 1 is less than 2"),
+        ("n_mics: 5", "n_mics: 1", "small.yaml: arrays.ring.n_mics: 1 is less than 2"),
+        ("n_poses: [6, 12]", "n_poses: [6, 6]", "runs[0]: ring, bench, few, quiet, ours-1, 6 comes twice"),
+        ("methods: [ours-1, ours-2]", "methods: [ours-1, ours-1]", "comes twice: give it once"),
+        ("n_poses: 12", "n_poses: 1", "is more than pose set 'few' has (1): at most 1"),
+        ("kind: rig, rig: bench8", "kind: places, buzzers_m: [[0, 0, 0], [0.1, 0, 0]]",
+         "board 'bench' is impossible: 8 independent TDOAs for 15 coordinates: give at least 2 poses, or more buzzers"),
         ("kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2", "kind: cubus", "give one of"),
         ("kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2", "kind: places, microphones_m: [[0, 0, 0], [0, 0, 0]]",
          "array 'ring' is impossible: microphones 1 and 2 are at the same place"),
@@ -191,17 +228,32 @@ def test_an_interrupt_keeps_what_was_finished(rig_study, small, tmp_path, monkey
         ("loud: {law: uniform, scale_s: 50.0e-6, grid_s: 41.7e-6, outliers: 0.02}", "loud: {law: measured}",
          "measured TDOAs go with the array kind ruler"),
         ("rig: bench8", "rig: bench9", "bench9: no such rig description"),
-        ("n_poses: [6, 12]", "n_poses: [6, 13]", "n_poses 13 is more than 'few' has (12)"),
+        ("n_poses: [6, 12]", "n_poses: [6, 13]", "runs[0].n_poses: 13 is more than pose set 'few' has (12)"),
         ("name: small", "name: ../small", "name"),
     ],
 )  # fmt: skip
 def test_a_wrong_study_is_told_in_a_line(rig_study, small, tmp_path, old, new, words):
-    assert old in SMALL
-    exit_code, _, err = rig_study(small(SMALL.replace(old, new)), "--workers", "1")
+    text = SMALL.replace("n_poses: [6, 12]", "n_poses: [1]") if "impossible: 8" in words else SMALL
+    assert old in text
+    exit_code, _, err = rig_study(small(text.replace(old, new)), "--workers", "1")
     assert exit_code == 2
     assert words in err
     assert "Traceback" not in err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_told(rig_study, small):
+    for what in (small(), "table1"):
+        exit_code, _, err = rig_study(what, "-o", "/dev/null/results")
+        assert exit_code == 3
+        assert "/dev/null/results" in err
+        assert "no folder can be made there (Not a directory): choose another with -o" in err
+
+
+def test_workers_do_not_go_with_a_cluster(rig_study, small):
+    exit_code, _, err = rig_study(small(), "--workers", "2", "--cluster", "tcp://127.0.0.1:1")
+    assert exit_code == 2
+    assert "--workers counts processes on this machine: leave it out with --cluster" in err
 
 
 def test_what_is_not_there_is_told(rig_study, tmp_path):
@@ -230,3 +282,15 @@ def test_calibration_needs_nothing_of_the_extra():
 
 def test_every_shipped_study_is_valid():
     assert {find_study(name).name for name in shipped_studies()} == set(shipped_studies())
+
+
+def test_the_examples_of_the_docs_are_valid():
+    text = (Path(__file__).parents[1] / "docs" / "studies.md").read_text(encoding="utf-8")
+    whole, *sections = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL))
+    assert StudyDescription.model_validate(whole).repetitions == 200
+    assert {key for section in sections for key in section} == set(StudyDescription.model_fields) - {
+        "format", "version", "name", "title", "seed", "repetitions", "speed_of_sound_m_s", "search_judged_in", "runs"
+    }  # fmt: skip
+    for section in sections:
+        joined = {key: {**whole.get(key, {}), **value} for key, value in section.items()}
+        StudyDescription.model_validate(whole | joined)

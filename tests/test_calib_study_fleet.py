@@ -4,8 +4,10 @@ import csv
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import write_measured_session
+from dask_cluster import dask_cluster
 
 pytest.importorskip("distributed")
 
@@ -63,10 +65,25 @@ def test_each_session_gets_its_own_result(fleet_of_three, rig_calibrate, tmp_pat
     assert {row["outcome"] for row in rows_of(tmp_path / "again.csv")} == {fleet.THERE}
 
 
+def test_a_cluster_calibrates_a_fleet(fleet_of_three, rig_calibrate, tmp_path):
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    with dask_cluster(tmp_path / "cluster", 2) as cluster:
+        exit_code, out, err = rig_calibrate(*fleet_of_three, "--cluster", cluster.address)
+    assert exit_code == 5, err
+    assert "2 of 3 sessions calibrated now" in out
+    assert [row["outcome"] for row in rows_of(tmp_path / "calibrations.csv")][:2] == ["good", "good"]
+    assert "broken.h5" in rows_of(tmp_path / "calibrations.csv")[2]["outcome"]
+    assert rig_calibrate(tmp_path / "s1.h5", "--no-report", "-o", alone / "s1.calib.yaml")[0] == 0
+    there, here = (read_result(folder / "s1.calib.yaml").positions_m for folder in (tmp_path, alone))
+    np.testing.assert_array_equal(there, here)
+    assert len(read_result(tmp_path / "s0.calib.yaml").positions_m) == 8
+
+
 def test_wrong_usage_is_told(fleet_of_three, rig_calibrate, tmp_path):
     for words, arguments in {
-        "--cluster goes with --each": ("--cluster", "tcp://127.0.0.1:1"),
         "take one session": ("--each", "--follow"),
+        "leave --plots to single sessions": ("--cluster", "tcp://127.0.0.1:1", "--plots", "svg"),
     }.items():
         exit_code, _, err = rig_calibrate(*arguments, *fleet_of_three)
         assert exit_code == 2

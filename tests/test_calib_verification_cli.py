@@ -1,7 +1,6 @@
 """`rig-verify` as a user runs it, on sessions that begin with measured corners and TDOAs."""
 
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,10 @@ import yaml
 from conftest import MICROPHONES_M, make_world, write_measured_session
 
 from calib.cli import command as calibrate_command
+from calib.result_file import read_result
+from calib.settings import Settings
 from calib.verification.cli import command
+from calib.verification.heldout import settings_of
 from rigs.command import run
 
 CHANNELS = list(range(1, 9))
@@ -90,7 +92,10 @@ def test_a_microphone_that_moved_fails(tmp_path, simulated_description, calibrat
     shift_m = found["movement"]["moved"][0]["shift_m"]
     assert np.linalg.norm(np.array(shift_m) - [0.0, 0.003, 0.001]) < 0.001
     assert verify(session, "--calibration", calibration, "--limit-moved-mm", 10, "--overwrite") == 0
-    assert "moved, but by less than 10 mm" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "moved, but by less than 10 mm" in said
+    assert "nothing has moved by more than 10 mm" in said
+    assert "has not moved" not in said
 
 
 def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys):
@@ -100,6 +105,33 @@ def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys)
     found = yaml.safe_load((tmp_path / "own" / "verification.yaml").read_text())
     assert found["calibration"]["made_again_without_these_poses"]
     assert {one["pose"] for one in found["emissions"]} == {1, 4, 7, 10}
+
+
+def test_the_calibrations_own_session_does_not_tell_of_movement(calibration, tmp_path, capsys):
+    assert verify(calibration.with_name("s1.h5"), "--calibration", calibration, "-o", tmp_path / "own") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "has not moved" not in said
+    assert "no microphone has moved" not in said
+    assert "whether the array has moved since is not told: these poses were captured when it was calibrated" in said
+    movement = yaml.safe_load((tmp_path / "own" / "verification.yaml").read_text())["movement"]
+    assert not movement["told"]
+    assert movement["smallest_told_m"] is None
+    assert "capture a later session" in movement["why_not"]
+
+
+def test_a_calibration_is_made_again_as_it_was_made(tmp_path, simulated_description, capsys):
+    session = write_measured_session(tmp_path / "s1.h5", simulated_description, seed=1)
+    chosen = ["--exact", "scale", "--hold", "buzzers", "--find-delays", "--seed", "3", "--exclude-channel", "5"]
+    assert run("rig-calibrate", calibrate_command, [str(session), *chosen]) == 0
+    expected = Settings(seed=3, excluded_channels=(5,), hold=("buzzers",), exact=("scale",), find_delays=True)
+    assert settings_of(read_result(tmp_path / "s1.calib.yaml"), simulated_description) == expected
+    assert verify(session, "--calibration", tmp_path / "s1.calib.yaml") == 0
+
+
+def test_a_calibration_of_an_earlier_version_is_made_again_as_usual(document, tmp_path, simulated_description):
+    del document["settings"]
+    stored = read_result(spoilt(tmp_path, document))
+    assert settings_of(stored, simulated_description) == Settings()
 
 
 def test_one_of_several_calibrated_sessions_is_refused(calibration, document, tmp_path, capsys):
@@ -232,15 +264,13 @@ def test_a_folder_that_cannot_be_written_to_is_told(later, calibration, tmp_path
     exit_code, error = refused(capsys, later, calibration, "-o", closed / "no" / "v")
     assert exit_code == 2
     assert "there is no folder" in error
-    monkeypatch.setattr("os.access", lambda _, mode: mode != os.W_OK)  # root may write anywhere
-    exit_code, error = refused(capsys, later, calibration, "-o", closed / "v")
+    exit_code, error = refused(capsys, later, calibration, "-o", "/sys/v")  # nobody may write there, not even root
     assert exit_code == 2
-    assert "is read-only: name an --output elsewhere" in error
-    monkeypatch.undo()
+    assert "/sys: cannot be written to" in error
     monkeypatch.setattr("tempfile.mkdtemp", _denied)  # as a network drive does, which says so only when asked to write
     exit_code, error = refused(capsys, later, calibration, "-o", closed / "v")
     assert exit_code == 2
-    assert "check the permissions" in error
+    assert f"{closed / 'v'}: cannot be made (Permission denied): check the permissions" in error
     assert list(closed.iterdir()) == []
 
 

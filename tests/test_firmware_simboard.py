@@ -53,7 +53,8 @@ def test_a_board_as_bought_is_flashed_through_its_real_boot_loader():
     image = firmware("uno", "hex")
     with running_board(OPTIBOOT, dtr=True) as board:
         flash = ["avrdude", "-p", "atmega328p", "-c", "arduino", "-b", "115200", "-P", board.port, "-D"]
-        run = subprocess.run([*flash, "-U", f"flash:w:{image}:i"], capture_output=True, text=True, check=False)
+        write = [*flash, "-U", f"flash:w:{image}:i"]
+        run = subprocess.run(write, capture_output=True, text=True, timeout=120, check=False)
         assert run.returncode == 0, run.stderr
         assert "verified" in run.stderr
         with Talk(board.port) as host:  # resets it again; the sketch is still there

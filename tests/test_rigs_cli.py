@@ -1,8 +1,10 @@
 """`rig-session` and how every command ends."""
 
 import errno
+import os
 import subprocess
 import sys
+from io import StringIO
 
 import click
 import h5py
@@ -100,6 +102,18 @@ def test_every_error_is_one_line_and_an_exit_code(error, exit_code, words, capsy
     err = capsys.readouterr().err.strip()
     assert err.startswith(words)
     assert "\n" not in err
+
+
+def test_a_terminal_that_is_gone_changes_no_exit_code(monkeypatch):
+    class Terminal(StringIO):
+        def write(self, _):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def failing():
+        raise SessionError("a.h5: bad")
+
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    assert run("rig", click.Command("x", callback=failing), []) == 5
 
 
 def test_exit_code_is_what_a_command_returns():

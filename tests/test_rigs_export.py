@@ -95,6 +95,20 @@ def test_all_emissions(session, tmp_path):
     assert len(list((tmp_path / "all").glob("*.wav"))) == 4
 
 
+def test_all_emissions_leave_out_those_during_which_audio_was_lost(tmp_path, capsys):
+    path = tmp_path / "s1.h5"
+    with new_session(path) as writer:
+        add_pose(writer, 0)
+        writer.append_emission(
+            pose=0, buzzer=BUZZER, repeat=0, waveform="sweep", board_time_s=1.0, host_time_s=1.0,
+            expected_sample=-1, accepted=False,
+        )  # fmt: skip
+    assert rig_session("audio", path, "--all") == 0
+    assert sorted(each.name[:13] for each in (tmp_path / "s1.audio").iterdir()) == ["emission-0000", "emission-0001"]
+    assert "1 of 3 left out" in capsys.readouterr().out
+    assert refused(capsys, "audio", path, "--emission", 2)[0] == 5
+
+
 @pytest.mark.parametrize(
     ("arguments", "exit_code", "words"),
     [
@@ -103,6 +117,9 @@ def test_all_emissions(session, tmp_path):
         (("--emission", 1, "-o", "x.mp3"), 2, "end the name with one of them"),
         (("--emission", 1, "-o", "nowhere/x.wav"), 2, "no folder"),
         (("--emission", "0-3", "-o", "nowhere/x"), 2, "no folder"),
+        (("--emission", "0-3", "-o", "x.wav"), 2, "4 emissions make a file each: name a folder"),
+        (("--emission", 1, "-o", "/sys/x.wav"), 2, "/sys/x.wav: cannot be made"),
+        (("--emission", "0-3", "-o", "/sys/x"), 2, "/sys/x: cannot be made"),
     ],
 )
 def test_what_cannot_be_cut_is_refused(session, capsys, monkeypatch, arguments, exit_code, words):
@@ -216,3 +233,14 @@ def test_a_player_without_a_device_is_told(session, tmp_path, capsys, monkeypatc
     code, error = refused(capsys, "audio", session, "--emission", 1, "--play")
     assert code == 3
     assert "PortAudio library not found" in error
+
+
+def test_sound_that_does_not_fit_on_the_disk_is_named(session, tmp_path, capsys, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("System error.")
+
+    monkeypatch.setattr("soundfile.write", full)
+    code, error = refused(capsys, "audio", session, "--emission", 1, "-o", tmp_path / "a.wav")
+    assert code == 2
+    assert "a.wav: could not be written: free some space" in error
+    assert not list(tmp_path.glob(".*"))

@@ -3,16 +3,19 @@
 import os
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from example_sessions import add_pose, new_session
+from example_sessions import N_CHANNELS, RIG, TEXT, add_pose, new_session
 
-from rigs.errors import SessionWriteError
+from rigs.errors import SessionWriteError, TargetExistsError
 from rigs.session import durability
 from rigs.session.journal import journal_path, read_journal
+from rigs.session.layers import Header
 from rigs.session.reader import Session
+from rigs.session.writer import SessionWriter
 
 
 @pytest.fixture
@@ -82,6 +85,37 @@ def test_a_disk_that_refuses_to_sync_is_told_of_and_the_file_reads(path, monkeyp
     monkeypatch.undo()
     with Session.open(path) as session:
         assert len(session.poses) >= 1
+        assert session.verify() == []
+
+
+def test_a_copy_is_on_the_disk_before_it_takes_the_place_of_the_old_file(path, monkeypatch):
+    new_session(path).close()
+    done = []
+
+    def slow(descriptor):
+        time.sleep(0.2)
+        os.fsync(descriptor)
+        done.append("synced")
+
+    replace = Path.replace
+    monkeypatch.setattr(durability, "_sync", slow)
+    monkeypatch.setattr(Path, "replace", lambda *paths: (done.append("replaced"), replace(*paths)))
+    header = Header("s", TEXT, {}, float(RIG.audio.sample_rate_hz))
+    with SessionWriter.begin(path, header, N_CHANNELS) as writer:
+        add_pose(writer, 0)
+        writer.replace(keep=False)
+        assert done == ["synced", "synced", "replaced", "replaced"]  # file and journal each
+
+
+def test_a_copy_that_another_program_makes_is_left_alone(path):
+    header = Header("s", TEXT, {}, float(RIG.audio.sample_rate_hz))
+    with SessionWriter.begin(path, header, N_CHANNELS) as writer:
+        with pytest.raises(TargetExistsError, match="another program is making this session"):
+            SessionWriter.begin(path, header, N_CHANNELS)
+        add_pose(writer, 0)
+        writer.publish()
+    with Session.open(path) as session:
+        assert session.complete
         assert session.verify() == []
 
 

@@ -16,12 +16,14 @@ from example_sessions import TRUTH, add_frame_and_emission, measured, new_sessio
 from rigs.cli import cli
 from rigs.command import run
 from rigs.errors import DamagedSessionError, SessionError, TargetError, TargetExistsError
+from rigs.interruption import interrupted_between_steps
 from rigs.session import layout
 from rigs.session import recover as recovering
 from rigs.session.damaged import lookup3
 from rigs.session.journal import journal_path, read_journal, record
 from rigs.session.reader import Session
 from rigs.session.recover import recover
+from rigs.session.wreck import Wreck
 
 BLOCK = 1024
 PER_POSE = 6  # blocks: the sweep of 0.1 s fits in
@@ -316,6 +318,15 @@ def test_the_command_tells_what_was_kept_and_dropped(wreck, capsys):
     assert "recovered  from s.h5" in capsys.readouterr().out
 
 
+@pytest.fixture
+def ctrl_c():
+    """See that Ctrl-C is heard: it is ignored where a script runs the tests in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_ctrl_c_is_not_lost_in_a_callback(wreck):
     """An exception in a weak reference's callback goes nowhere: HDF5's objects die at any time."""
@@ -335,6 +346,25 @@ def test_ctrl_c_is_not_lost_in_a_callback(wreck):
         recover(wreck, wreck.with_name("new.h5"), watch)
     assert sorted(each.name for each in wreck.parent.iterdir()) == ["s.h5", "s.h5.journal"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_ctrl_c_in_the_last_step_is_not_lost():
+    with pytest.raises(KeyboardInterrupt), interrupted_between_steps():
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_a_journal_that_another_session_left_is_not_believed(wreck, tmp_path):
+    other = tmp_path / "other.h5"
+    with new_session(other) as writer:
+        add_pose(writer, 7)
+        end_pose(writer, 7)
+        writer.flush()
+        shutil.copy(journal_path(other), journal_path(wreck))
+    with Session.open(wreck) as session:
+        poses = session.poses["pose"].tolist()
+    with Wreck.open(wreck) as found:
+        assert found.tables[layout.POSES]["pose"].tolist() == poses
 
 
 def test_last_poses_without_pictures_count_no_longer(tmp_path):

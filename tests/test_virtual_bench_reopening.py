@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import time
 from threading import Timer
 
 import numpy as np
@@ -12,7 +13,7 @@ from rigs.library import find_description
 from rigs.session.layout import FLAG_GAP
 from rigs.session.reader import Session
 
-POSES, GONE_S = 3, 4.0
+POSES, GONE_S, LIMIT_S = 3, 4.0, 300.0
 
 
 def captured_with_a_break(folder):
@@ -24,16 +25,19 @@ def captured_with_a_break(folder):
         environment = os.environ | bench.environment
         with (folder / "said.txt").open("w") as said:
             program = subprocess.Popen(command, stdout=said, stderr=said, env=environment)
-        while program.poll() is None:
-            if (
-                not thaw.ident
-                and bench.ears.emissions
-                and bench.ears.emissions[-1].place > bench.ears.emissions[0].place
-            ):
-                server.freeze()
-                thaw.start()
-            bench.run_for(0.1)
-        thaw.join()
+        end_s = time.monotonic() + LIMIT_S
+        try:
+            while program.poll() is None and time.monotonic() < end_s:
+                heard = bench.ears.emissions
+                if not thaw.ident and heard and heard[-1].place > heard[0].place:
+                    server.freeze()
+                    thaw.start()
+                bench.run_for(0.1)
+        finally:
+            program.kill()  # harmless after its end
+            program.wait(LIMIT_S)
+            if thaw.ident:
+                thaw.join(LIMIT_S)
     said = (folder / "said.txt").read_text()
     assert program.returncode == 0, said
     return said

@@ -15,6 +15,7 @@ from calib.joint.uncertainty import shared_covariance
 from calib.joint.unknowns import Unknowns
 from calib.result import SOFTWARE, Recording
 from calib.result_file import StoredCalibration
+from calib.settings import Settings
 from calib.verification.comparison import Comparison
 from calib.verification.location import Located, Speed
 from calib.verification.movement import MovementCheck, check_movement
@@ -46,7 +47,7 @@ def calibrated(rig: Rig) -> StoredCalibration:
     return StoredCalibration(
         "first.calib.yaml",
         {"0" * 64: "first"},
-        "joint",
+        Settings(),
         SOFTWARE,
         CHANNELS,
         solution.at.microphones_m,

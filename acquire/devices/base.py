@@ -174,8 +174,11 @@ class Camera(Protocol):
     def read(self) -> Frame:
         """Wait for the next frame and return it; never a stale one. Raises DeviceError, also where it is frozen."""
 
-    def collect(self, rhythm: Rhythm | None) -> None:
-        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
+    def collect(self, rhythm: Rhythm | None) -> int:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them.
+
+        Returns how many were due until now and are missing, beyond those of which the collected frames tell.
+        """
 
     def collected(self) -> list[Frame]:
         """Return the frames collected since the last call, in order, without waiting; none while it is closed.

@@ -15,10 +15,7 @@ from statistics import median
 
 _FAIR_SHARE = 0.3  # of the interval between two pictures: who slept so long for one, slept for the camera
 _PAUSE = 3.0  # intervals without a picture
-_WAITS, _OF = (
-    2,
-    3,
-)  # so many of the last pictures must have been waited for: one sleeps for other reasons, too
+_WAITS, _OF = 2, 3  # so many of the last pictures must have been waited for: a thread sleeps for other reasons, too
 _KNOWN = 31  # intervals
 _SCHEDULER = Path("/proc/thread-self/schedstat")  # Linux: nanoseconds on a core, and nanoseconds in the queue for one
 

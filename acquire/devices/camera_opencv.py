@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -101,11 +102,15 @@ class OpenCvCamera:
             raise DeviceError(f"{self._source.label}: the camera is not open; open it first")
         return self._stream.next_frame(self._timeout_s)
 
-    def collect(self, rhythm: Rhythm | None) -> None:
-        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
-        self._queue = None if rhythm is None else FrameQueue(rhythm)
+    def collect(self, rhythm: Rhythm | None) -> int:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them.
+
+        Returns how many were due until now and are missing, beyond those of which the collected frames tell.
+        """
+        ended, self._queue = self._queue, None if rhythm is None else FrameQueue(rhythm)
         if self._stream is not None:
             self._stream.queue = self._queue
+        return 0 if ended is None else ended.n_missing_at(time.monotonic())
 
     def collected(self) -> list[Frame]:
         """Return the frames collected since the last call; none while it is closed.

@@ -16,6 +16,7 @@ from acquire.devices.base import Frame
 from acquire.devices.camera_backlog import Backlog, Sleep
 from acquire.devices.frame_queue import FrameQueue
 from acquire.errors import DeviceError
+from rigs.errors import reason
 
 Picture = NDArray[np.uint8]
 _LOOK_S = 0.2  # between pictures that are looked at although nobody asked for one
@@ -158,6 +159,8 @@ class PictureStream:
             self._finish(str(error))
         except cv2.error as error:
             self._finish(f"{self._label}: OpenCV cannot read it ({error.err}): check the camera, and start again")
+        except OSError as error:
+            self._finish(f"{self._label}: cannot be read ({reason(error)}): check it, and start again")
 
     def _grab(self, pictures: Pictures) -> bool:
         """Take the next picture in, and tell whether there was one."""

@@ -34,7 +34,7 @@ class FrameQueue:
 
     def put(self, frame: Frame) -> None:
         """Queue a frame that is due, and count in it those that were due before it and never came."""
-        n_late = max(0, int((frame.host_time_s - self._due_s) / self._interval_s))
+        n_late = self._n_late(frame.host_time_s)
         self._due_s += (n_late + 1) * self._interval_s
         self._n_missing += n_late
         if len(self._frames) * frame.image.nbytes >= self._most_bytes:
@@ -46,3 +46,10 @@ class FrameQueue:
     def take(self) -> list[Frame]:
         """Return the frames that wait, in order, and hold them no longer."""
         return [self._frames.popleft() for _ in range(len(self._frames))]
+
+    def n_missing_at(self, time_s: float) -> int:
+        """Return how many are missing at the end, after the last that was queued."""
+        return self._n_missing + self._n_late(time_s)
+
+    def _n_late(self, time_s: float) -> int:
+        return max(0, int((time_s - self._due_s) / self._interval_s))

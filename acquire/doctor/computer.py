@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from acquire.disk import session_bytes
+from acquire.disk import in_words, session_bytes
 from acquire.doctor.row import Part, Row, State
 from acquire.ports import serial_ports
 from rigs.description import RigDescription
@@ -43,7 +43,7 @@ def _disk(folder: Path, description: RigDescription) -> Iterator[Row]:
     yield _row("folder", State.OK, f"{folder}: can be written to, {_PROBE_BYTES / write_s / 1e6:.0f} MB/s")
     figures = {"needed_bytes": needed_bytes, "free_bytes": float(free_bytes)}
     poses = description.capture.poses
-    finding = f"{_in_words(free_bytes)} free, {poses} poses take about {_in_words(needed_bytes)}"
+    finding = f"{in_words(free_bytes)} free, {poses} poses take about {in_words(needed_bytes)}"
     if free_bytes > _SPARE * needed_bytes:
         yield _row("disk", State.OK, finding, "", **figures)
     else:
@@ -95,10 +95,6 @@ def _load() -> Iterator[Row]:
     busy = load > _BUSY * cores
     remedy = "close other programs" if busy else ""
     yield _row("load", State.LOOK if busy else State.OK, finding, remedy, load=load, cores=cores)
-
-
-def _in_words(n_bytes: float) -> str:
-    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"
 
 
 def _row(subject: str, state: State, finding: str, remedy: str = "", **figures: float) -> Row:

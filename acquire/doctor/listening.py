@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acquire.devices.base import AudioInput, ClockFit, TriggerBoard
 from acquire.doctor.devices import Devices
-from acquire.errors import DeviceError, DeviceRestartedError
+from acquire.errors import DeviceError, DeviceRestartedError, FirmwareError
 from acquire.sample_clock import SampleClock
 from rigs.description import RigDescription
 from rigs.session.layout import FLAG_GAP, FLAG_OVERFLOW
@@ -41,7 +41,7 @@ class Sounds:
         As many came within that time.
     n_losses : int
         How often the sound device said that samples were lost.
-    trigger_lost : DeviceError or None
+    trigger_lost : DeviceError, FirmwareError or None
         Why the trigger board did not play every buzzer.
     """
 
@@ -53,7 +53,7 @@ class Sounds:
     span_s: float
     span_samples: int
     n_losses: int
-    trigger_lost: DeviceError | None
+    trigger_lost: DeviceError | FirmwareError | None
 
 
 class Listening:
@@ -74,6 +74,8 @@ class Listening:
         self._sample_clock = SampleClock(description.audio.sample_rate_hz)
         self._blocks: list[NDArray[np.float32]] = []
         self._stamps: list[tuple[int, float]] = []
+        self._starts_s: list[float] = []  # not placed yet
+        self._starts: list[float] = []
         self._n_samples = self._n_losses = 0
 
     def hear(self, trigger: TriggerBoard | None) -> Sounds:
@@ -88,17 +90,17 @@ class Listening:
         began = self._n_samples
         self._listen(QUIET_S)
         quiet_end = self._n_samples
-        starts_s: list[float] = []
-        lost = None
+        lost: DeviceError | FirmwareError | None = None
         for buzzer in self._description.board.buzzers if trigger else ():
             assert trigger is not None
             try:
-                starts_s.append(self._started(trigger, buzzer.id))
-            except DeviceError as error:
+                self._starts_s.append(self._started(trigger, buzzer.id))
+            except (DeviceError, FirmwareError) as error:
                 lost = error
                 break
             self._listen(self._waveform.duration_s + max(self._description.signal.gap_s, AFTER_S))
-        return self._sounds(began, quiet_end, starts_s, lost)
+        self._place(float("inf"))
+        return self._sounds(began, quiet_end, lost)
 
     def _started(self, trigger: TriggerBoard, buzzer: int) -> float:
         """Fire a buzzer, and return when it began; a board that has restarted is opened again, once."""
@@ -109,8 +111,14 @@ class Listening:
             trigger.open()
             return trigger.play(buzzer, self._waveform).host_time_s
 
-    def _sounds(self, began: int, quiet_end: int, starts_s: list[float], trigger_lost: DeviceError | None) -> Sounds:
-        rows = [self._sample_clock.sample_at(start_s) for start_s in starts_s]
+    def _place(self, end_s: float) -> None:
+        """Place the emissions that began before a moment, by the clock as it is: after a loss it is another one."""
+        placed_s = [start_s for start_s in self._starts_s if start_s < end_s]
+        rows = [self._sample_clock.sample_at(start_s) for start_s in placed_s]
+        self._starts += [row for row in rows if row is not None]
+        self._starts_s = self._starts_s[len(placed_s) :]
+
+    def _sounds(self, began: int, quiet_end: int, trigger_lost: DeviceError | FirmwareError | None) -> Sounds:
         fit = self._sample_clock.longest_fit()
         assert fit is not None  # the device delivered when it was opened
         recorded = np.concatenate(self._blocks)[began:]
@@ -120,7 +128,7 @@ class Listening:
             recorded[:, :n_mics],
             recorded[:, n_mics:],
             quiet_end - began,
-            tuple(row - began for row in rows if row is not None),
+            tuple(row - began for row in self._starts),
             fit,
             last_s - first_s,
             last - first,
@@ -138,6 +146,7 @@ class Listening:
         for block in self._audio.read():
             if block.flags & (FLAG_OVERFLOW | FLAG_GAP):
                 self._n_losses += 1
+                self._place(block.host_time_s - self._waveform.duration_s)  # those that are over
                 self._sample_clock.restart()
             self._sample_clock.add(self._n_samples, block.host_time_s)
             self._stamps.append((self._n_samples, block.host_time_s))

@@ -34,7 +34,7 @@ def judge_timing(sounds: Sounds, hearing: Hearing) -> Iterator[Row]:
 
 
 def _rate(sounds: Sounds, nominal_hz: float) -> Row:
-    coarse_hz = sounds.span_samples / sounds.span_s
+    coarse_hz = nominal_hz if sounds.n_losses else sounds.span_samples / sounds.span_s  # what is lost is no rate
     if abs(coarse_hz / nominal_hz - 1) > _GROSS_SHARE + _STAMP_S / sounds.span_s:
         finding = f"{coarse_hz:.0f} samples/s arrive, audio.sample_rate_hz says {nominal_hz:.0f}"
         remedy = "set the device to the rate of the description; close other programs; try another USB port"

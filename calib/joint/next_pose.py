@@ -26,6 +26,9 @@ ASIDE = (-0.3, 0.0, 0.3)  # of the depth
 TILT_RAD = np.radians(30.0)
 TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 MARGIN = 0.03  # of the picture's width, free around the board
+# Which edge comes nearer by a negative and by a positive turn, about x (right) and about y (down), z being forward.
+NEARER_EDGES = (("bottom", "top"), ("left", "right"))
+ONE_AFTER_ANOTHER = "each counts on those before it being captured, too"
 
 
 @dataclass(frozen=True)
@@ -50,14 +53,14 @@ class Suggestion:
     now_m: float
 
     def sentence(self) -> str:
-        """Say where to hold the board."""
+        """Say where to hold the board, in words of the picture, and what that is good for."""
         x, y, z = 1e3 * self.centre_m
-        tilts = [f"{abs(angle):.0f} degrees about {axis} ({'+' if angle > 0 else '-'})"
-                 for angle, axis in zip(self.tilt_deg, "xy", strict=True) if angle]  # fmt: skip
-        turned = f"tilted by {' and '.join(tilts)}" if tilts else "facing the camera"
+        tilts = [f"by {abs(angle):.0f} degrees with the edge at the picture's {edges[angle > 0]} nearer"
+                 for angle, edges in zip(self.tilt_deg, NEARER_EDGES, strict=True) if angle]  # fmt: skip
+        turned = f"tilted {' and '.join(tilts)}" if tilts else "facing the camera"
         return (
             f"board centre at x {x:+.0f}, y {y:+.0f}, z {z:.0f} mm, {turned}: the worst microphone to "
-            f"{1e3 * self.worst_std_m:.2f} mm (now {1e3 * self.now_m:.2f} mm)"
+            f"{1e3 * self.worst_std_m:.3g} mm (now {1e3 * self.now_m:.3g} mm)"
         )
 
 

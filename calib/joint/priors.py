@@ -36,7 +36,7 @@ def described_priors(
     media : tuple of Medium
         The air of each session, where there are several.
     find_delays : bool
-        Channels may be late, each by a constant time.
+        Channels may be late after the first one, each by a constant time.
     """
     board, blocks, reference = description.board, start.blocks, description.audio.reference_microphone
     std = np.full(blocks.size, np.inf)
@@ -47,6 +47,7 @@ def described_priors(
     std[blocks.corners] = np.tile(corner_std_m(board), blocks.n_corners)
     std[blocks.latencies] = LATENCY_STD_S
     std[blocks.delays] = DELAY_STD_S if find_delays else 0.0
+    std[blocks.delays][:: blocks.n_mics] = 0.0  # of each session's first channel: only differences can be told
     if reference is not None:
         std[blocks.microphone(blocks.n_mics - 1)] = reference.position_std_m
     return Priors(start.shared, std)

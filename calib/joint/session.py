@@ -36,6 +36,7 @@ from calib.joint.threads import on_one_thread
 from calib.joint.uncertainty import microphone_rms_m, shared_covariance
 from calib.joint.unknowns import Unknowns
 from calib.rejections import Rejection, solve_rejections
+from calib.result import ChannelDelays
 from calib.settings import Settings
 from rigs.description import Intrinsics, Medium, RigDescription
 from rigs.geometry import Pose
@@ -107,6 +108,7 @@ def answer_jointly(
             *observability_doubts(solution, covariance, description.camera, channels),
         ],
         held_out=hold_out(solution, chosen) if is_last else None,
+        delays=_delays(solution.at, covariance, len(channels)) if settings.find_delays else None,
         suggestions=_suggestions(solution, description, len(channels), settings.suggest_poses),
         rejections=[
             *_poses_without_place(view, corners, tdoas),
@@ -158,6 +160,12 @@ def _plain_answer(
         speeds_m_s=tuple(at.shared[at.blocks.speed].tolist()),
         speed_stds_m_s=tuple(np.sqrt(speed_variances).tolist()),
     )
+
+
+def _delays(at: Unknowns, covariance: FloatArray, n_mics: int) -> ChannelDelays:
+    std_s = np.sqrt(np.diag(covariance)[at.blocks.delays])
+    shape = at.blocks.n_sessions, at.blocks.n_mics
+    return ChannelDelays(at.delays_s.reshape(shape)[:, :n_mics], std_s.reshape(shape)[:, :n_mics])
 
 
 def refined_view(view: View, solution: JointSolution) -> View:

@@ -57,10 +57,11 @@ def candidates(blocks: Blocks, priors: Priors) -> list[Suspect]:
     n_buzzers, delays = blocks.n_buzzers, blocks.delays.start
     buzzer_std_m = float(priors.std[blocks.buzzers][0])
     out = [Suspect("buzzer", n, blocks.buzzer(n), max(buzzer_std_m, 1e-4), LOOSE_BUZZER_M) for n in range(n_buzzers)]
-    out += [
-        Suspect("delay", n, slice(delays + n, delays + n + 1), USUAL_DELAY_S, LOOSE_DELAY_S)
-        for n in range(blocks.n_sessions * blocks.n_mics)
-    ]
+    if not priors.free[blocks.delays].any():  # else they are found anyway
+        out += [
+            Suspect("delay", n, slice(delays + n, delays + n + 1), USUAL_DELAY_S, LOOSE_DELAY_S)
+            for n in range(blocks.n_sessions * blocks.n_mics)
+        ]
     out.append(Suspect("scale", 0, blocks.scale, max(float(priors.std[blocks.scale][0]), 1e-4), LOOSE_SCALE))
     speed = blocks.speed.start
     out += [

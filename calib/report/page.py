@@ -9,6 +9,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib.joint.next_pose import ONE_AFTER_ANOTHER
 from calib.joint.observability import board_tilts_deg
 from calib.rejections import KINDS, Rejection
 from calib.report.geometry import MOST_BOARDS
@@ -18,7 +19,15 @@ from calib.report.photograph import photograph
 from calib.report.plots import MOST_POINTS, as_file, noise_floor_s, plots
 from calib.report.scene import scene
 from calib.report.verdict import judge
-from calib.report.words import MEANINGS, command_line, settings_table, short, versions_table, weak_directions
+from calib.report.words import (
+    MEANINGS,
+    command_line,
+    settings_table,
+    short,
+    two_digits,
+    versions_table,
+    weak_directions,
+)
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs import __version__
@@ -75,6 +84,7 @@ def report(sessions: list[Session], result: Calibration, settings: Settings, res
         sound_flaws=_sound_flaws(result),
         truth=_truth(result),
         meanings=MEANINGS,
+        one_after_another=ONE_AFTER_ANOTHER,
         command=command_line([session.path.name for session in sessions], result_name, settings),
         fit=_fit(result),
         settings=settings_table(settings),
@@ -93,14 +103,14 @@ def _figures(result: Calibration) -> list[tuple[str, str, str]]:
     std_mm = 1e3 * float(np.sqrt(np.mean(np.sum(result.std_m**2, axis=1))))
     figures = [
         ("Microphones", str(len(result.channels)), f"from {len(result.view.pose)} board positions"),
-        ("Standard deviation of a microphone", f"{short(std_mm)}", "mm, root mean square"),
-        ("Scatter of the TDOAs", f"{short(1e6 * result.residual.robust_sigma_s, 3)}", "µs"),
+        ("Standard deviation of a microphone", two_digits(std_mm), "mm, root mean square"),
+        ("Scatter of the TDOAs", two_digits(1e6 * result.residual.robust_sigma_s), "µs"),
     ]
     if result.held_out is not None:
-        figures.append(("The same, held-out poses", f"{short(1e6 * result.held_out.robust_sigma_s, 3)}", "µs"))
-    figures.append(("Corners of the board", f"{short(result.view.rms_px)}", "px rms"))
+        figures.append(("The same, held-out poses", two_digits(1e6 * result.held_out.robust_sigma_s), "µs"))
+    figures.append(("Corners of the board", two_digits(result.view.rms_px), "px rms"))
     if result.evaluation is not None:
-        figures.append(("Error against the truth", f"{short(1e3 * result.evaluation.rmse_m)}", "mm rms"))
+        figures.append(("Error against the truth", two_digits(1e3 * result.evaluation.rmse_m), "mm rms"))
     return figures
 
 

@@ -47,6 +47,11 @@ class Criterion:
     level: Level
     why: str
 
+    def in_words(self) -> str:
+        """Say what was found, and what it should have been."""
+        limit = f"usable: {self.usable}" if self.level == "do not use" else f"good: {self.good}"
+        return f"{self.name[0].lower()}{self.name[1:]} ({self.found}; {limit})"
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -157,7 +162,7 @@ def _sentence(result: Calibration, level: Level, criteria: list[Criterion]) -> s
     std_mm = 1e3 * float(np.sqrt(np.mean(np.sum(result.std_m**2, axis=1))))
     n_mics = len(result.channels)
     found = f"{n_mics} microphones are placed in the camera's frame to {short(std_mm)} mm (one standard deviation)"
-    weak = [criterion.name.lower() for criterion in criteria if criterion.level == level]
+    weak = [criterion.in_words() for criterion in criteria if criterion.level == level]
     if level == "good":
         return f"{found}, and nothing speaks against them."
     if level == "usable":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import shlex
 from importlib.metadata import version
@@ -73,6 +74,13 @@ MEANINGS = (
 def short(value: float, digits: int = 2) -> str:
     """Return a number with so many significant digits and without an exponent, as people write it."""
     return f"{float(f'{value:.{digits}g}'):g}"
+
+
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits, zeros at its end too, so that numbers side by side look alike."""
+    rounded = float(f"{value:.2g}")
+    decimals = 0 if rounded == 0 or not math.isfinite(rounded) else max(0, 1 - math.floor(math.log10(abs(rounded))))
+    return f"{rounded:.{decimals}f}"
 
 
 def command_line(sessions: list[str], result_name: str, settings: Settings) -> str:

@@ -16,13 +16,18 @@ from calib.study.scene import Scene
 FloatArray = NDArray[np.float64]
 
 
-def rms_bound_m(scene: Scene, places: Places) -> FloatArray:
-    """Return the bound (n or 1,) of the root mean square error of the microphones; NaN where there is none."""
+def rms_bound_m(scene: Scene, places: Places, counted: int | None = None) -> FloatArray:
+    """Return the bound (n or 1,) of the root mean square error of the microphones; NaN where there is none.
+
+    Only the first `counted` microphones' squared errors are summed, but still divided by the number of all: so the
+    paper counts 7 of 8. None: all of them.
+    """
     std_s = noise_std_s(scene)
     if not std_s > 0 or isinstance(scene.noise, MeasuredNoise):
         return np.full(len(places.told_m), np.nan)
     laplacian = _laplacian(scene) / (std_s * scene.speed_m_s) ** 2
-    return np.array([_bound_m(scene, sources_m, poses, laplacian) for sources_m, poses in _each(places)])
+    n_values = 3 * (counted or len(scene.microphones_m))
+    return np.array([_bound_m(scene, sources_m, poses, laplacian, n_values) for sources_m, poses in _each(places)])
 
 
 def _each(places: Places) -> list[tuple[FloatArray, NDArray[np.intp]]]:
@@ -46,7 +51,9 @@ def _laplacian(scene: Scene) -> FloatArray:
     return np.asarray(pairs.T @ pairs)
 
 
-def _bound_m(scene: Scene, sources_m: FloatArray, poses: NDArray[np.intp], laplacian: FloatArray) -> float:
+def _bound_m(
+    scene: Scene, sources_m: FloatArray, poses: NDArray[np.intp], laplacian: FloatArray, n_values: int
+) -> float:
     n_mics, n_buzzers = scene.microphones_m.shape[0], len(scene.buzzers_m)
     units = distances(scene.microphones_m[None], sources_m[None])[1][0]
     by_source = -np.einsum("emi,eij->emj", units, np.repeat(scene.rotations[poses], n_buzzers, axis=0))
@@ -66,7 +73,7 @@ def _bound_m(scene: Scene, sources_m: FloatArray, poses: NDArray[np.intp], lapla
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
         return float("nan")
-    variance_m2 = float(np.trace(covariance[: 3 * n_mics, : 3 * n_mics])) / n_mics
+    variance_m2 = float(np.trace(covariance[:n_values, :n_values])) / n_mics
     return float(np.sqrt(variance_m2)) if variance_m2 > 0 else float("nan")
 
 

@@ -36,7 +36,11 @@ NEEDED = ("pyarrow", "distributed", "matplotlib")
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder of the paper's published files (a clone of AISLAB-sustech/AcousticCamera).",
 )
-@click.option("--workers", type=click.IntRange(1, 1024), help="Processes on this machine [default: one per core].")
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    help="Processes on this machine, not with --cluster [default: one per core].",
+)
 @click.option("--cluster", metavar="tcp://HOST:PORT", help="A Dask scheduler whose workers compute.")
 @click.version_option(package_name="acoustic-camera-rig")
 def command(
@@ -61,8 +65,9 @@ def command(
     from calib.study.published import read_published
     from calib.study.workers import Workers
 
-    who = Workers.of_machine() if workers is None else Workers(workers)
-    who = Workers(who.number, cluster)
+    if cluster is not None and workers is not None:
+        raise click.UsageError("--workers counts processes on this machine: leave it out with --cluster")
+    who = Workers(Workers.of_machine().number if workers is None else workers, cluster)
     console, files = Console(), read_published(published)
     if what not in (*ITEMS, "all"):
         _own_study(what, output, quick, files, who, console)
@@ -74,13 +79,16 @@ def command(
 
 
 def _own_study(what: str, output: Path, quick: bool, published: Published, workers: Workers, console: Console) -> None:
-    from calib.study.library import find_study
-    from calib.study.paper import finish
-    from calib.study.run import quickened, run_study
+    from calib.study.library import find_study, shipped_studies
+    from calib.study.pages import remarks
+    from calib.study.paper import STUDY_OF, finish
+    from calib.study.run import run_study
 
     study = find_study(what)
-    finished = run_study(quickened(study) if quick else study, output / study.name, published, workers, console)
-    finish(finished, console)
+    finished = run_study(study, output / study.name, published, workers, console, quick=quick)
+    for remark in remarks(finished):
+        console.print(f"! {remark}", soft_wrap=True)
+    finish(finished, console, STUDY_OF[what.partition("-")[0]] if what in shipped_studies() else None)
 
 
 def _check_extra() -> None:

@@ -6,7 +6,6 @@ are metres, times seconds; the unit is part of every key.
 
 from __future__ import annotations
 
-import difflib
 from itertools import combinations
 from typing import Annotated, Literal
 
@@ -258,29 +257,8 @@ class StudyDescription(Section):
         return arrays
 
     @model_validator(mode="after")
-    def _runs_name_what_is_there(self) -> StudyDescription:
-        for number, run in enumerate(self.runs):
-            for section in ("arrays", "boards", "pose_sets", "noises"):
-                for name in getattr(run, section):
-                    _check_known(f"runs[{number}].{section}", name, getattr(self, section))
-            self._check_run(number, run)
+    def _runs_can_be_tried(self) -> StudyDescription:
+        from calib.study.run_checks import check_runs  # noqa: PLC0415 (it is written in terms of this module)
+
+        check_runs(self)
         return self
-
-    def _check_run(self, number: int, run: Run) -> None:
-        needing = [method for method in run.methods if method in WITH_KNOWN]
-        if needing and self.known_microphone is None:
-            raise ValueError(f"runs[{number}]: {needing[0]} needs a known_microphone: add one, or leave the method out")
-        measured = any(isinstance(self.noises[name], MeasuredNoise) for name in run.noises)
-        fits = all(isinstance(self.arrays[name], RulerArray) for name in run.arrays) and all(
-            isinstance(self.pose_sets[name], PublishedPoses) for name in run.pose_sets
-        )
-        if measured and not fits:
-            raise ValueError(f"runs[{number}]: measured TDOAs go with the array kind ruler and published poses only")
-
-
-def _check_known(where: str, name: str, known: dict[str, object]) -> None:
-    if name in known:
-        return
-    near = difflib.get_close_matches(name, known, n=1)
-    remedy = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
-    raise ValueError(f"{where}: there is no {name!r}: {remedy}")

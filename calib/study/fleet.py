@@ -14,7 +14,8 @@ from rich.text import Text
 
 from calib.errors import CalibrationError
 from calib.pipeline import calibrate
-from calib.result import Calibration, write_calibration
+from calib.result import Calibration
+from calib.result_writer import write_calibration
 from calib.settings import Settings
 from calib.study.workers import Workers, compute
 from rigs.errors import RigError, TargetExistsError
@@ -22,6 +23,10 @@ from rigs.session.reader import Session
 from rigs.target import check_target
 
 SUMMARY, HEADING = "calibrations.csv", b"session,outcome,"
+CAPTION = (
+    "std: root mean square of the microphones' standard deviations; residual: robust sigma of the TDOAs; "
+    "rmse: against the session's truth, where it has one"
+)
 GOOD, THERE = "good", "there already: add --overwrite to replace it"
 
 
@@ -103,20 +108,24 @@ def calibrate_file(path: str, settings: Settings) -> Calibration | str:
 
 
 def show_fleet(rows: list[FleetRow], table: Path, console: Console) -> None:
-    """Print the table."""
-    shown = Table(box=box.SIMPLE_HEAD)
-    for name in ("session", "poses", "std, mm", "residual, us", "speed, m/s", "rmse, mm", "warnings"):
-        shown.add_column(name, justify="left" if name == "session" else "right")
-    for row in rows:
-        if row.outcome != GOOD:
-            continue
-        figures = (row.n_poses, row.std_mm, row.robust_sigma_us, row.speed_of_sound_m_s, row.rmse_mm, row.n_warnings)
-        shown.add_row(Text(row.session), *("" if figure is None else f"{figure:.4g}" for figure in figures))
-    console.print(shown)
+    """Print the table, and a line for each session without a new result."""
+    good = [row for row in rows if row.outcome == GOOD]
+    if good:
+        console.print(_shown(good))
     for row in rows:
         if row.outcome != GOOD:
             console.print(Text(f"! {row.session}: {row.outcome}"), soft_wrap=True)
-    console.print(Text(f"Written: {table}"), soft_wrap=True)
+    console.print(Text(f"{len(good)} of {len(rows)} sessions calibrated now. Written: {table}"), soft_wrap=True)
+
+
+def _shown(rows: list[FleetRow]) -> Table:
+    shown = Table(box=box.SIMPLE_HEAD, title="Sessions, each calibrated by itself", caption=CAPTION)
+    for name in ("session", "poses", "std, mm", "residual, us", "speed, m/s", "rmse, mm", "warnings"):
+        shown.add_column(name, justify="left" if name == "session" else "right")
+    for row in rows:
+        figures = (row.n_poses, row.std_mm, row.robust_sigma_us, row.speed_of_sound_m_s, row.rmse_mm, row.n_warnings)
+        shown.add_row(Text(row.session), *("" if figure is None else f"{figure:.4g}" for figure in figures))
+    return shown
 
 
 def _check_table(table: Path, *, overwrite: bool) -> None:

@@ -6,11 +6,13 @@ where it was left, and its size on disk, not in memory, is what a long study cos
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,12 +87,12 @@ class StudyFolder:
         """
         content = io.BytesIO()
         pq.write_table(self._table(part, columns), content, compression="zstd")
-        self._write(self._part_path(part), content.getvalue())
+        write_whole(self._part_path(part), content.getvalue())
 
-    def tables(self, parts: list[Part] | None = None) -> Iterator[pa.Table]:
-        """Return some of the parts, or all, one after the other."""
+    def tables(self, parts: list[Part] | None = None, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Return some of the parts, or all, one after the other, with some of their columns, or all."""
         for part in self.parts if parts is None else parts:
-            yield pq.read_table(self._part_path(part))
+            yield pq.read_table(self._part_path(part), columns=None if columns is None else list(columns))
 
     def write_results(self) -> None:
         """Put the parts together into results.parquet and results.csv, a part at a time.
@@ -112,7 +114,7 @@ class StudyFolder:
             for name in ("results.parquet", "results.csv"):
                 (self.path / f"{name}.part").replace(self.path / name)
         except OSError as error:
-            raise self._disk_error(error) from error
+            raise _disk_error(self.path, error) from error
 
     def write_text(self, name: str, text: str) -> None:
         """Write a small file of the results.
@@ -121,7 +123,7 @@ class StudyFolder:
         ------
         DiskError
         """
-        self._write(self.path / name, text.encode())
+        write_whole(self.path / name, text.encode())
 
     def _claim(self, manifest: dict[str, str]) -> None:
         path = self.path / MANIFEST
@@ -130,10 +132,8 @@ class StudyFolder:
             return
         if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
             raise FolderError(f"{self.path}: is there already and holds no study: name another folder with -o")
-        try:
-            (self.path / "parts").mkdir(parents=True)
-        except OSError as error:
-            raise DiskError(f"{self.path}: {reason(error)}: choose another folder with -o") from error
+        make_folder(self.path)
+        make_folder(self.path / "parts")
         self.write_text("study.yaml", study_text(self.study))
         self.write_text(MANIFEST, json.dumps(manifest, indent=1) + "\n")
 
@@ -146,20 +146,6 @@ class StudyFolder:
             return path.exists() and pq.read_metadata(path).num_rows == len(part.repetitions)
         except (OSError, pa.ArrowInvalid):
             return False
-
-    def _write(self, path: Path, content: bytes) -> None:
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            partial.write_bytes(content)
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise self._disk_error(error) from error
-
-    def _disk_error(self, error: OSError) -> DiskError:
-        return DiskError(
-            f"{self.path}: {reason(error)}: free some space and run the same command again; finished parts are kept"
-        )
 
     def _table(self, part: Part, columns: Columns) -> pa.Table:
         case, n = part.case, len(part.repetitions)
@@ -201,6 +187,36 @@ class StudyFolder:
         )
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder, and those that it stands in.
+
+    Raises
+    ------
+    DiskError
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DiskError(f"{path}: no folder can be made there ({reason(error)}): choose another with -o") from error
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a small file under another name first, so that what has its name is whole.
+
+    Raises
+    ------
+    DiskError
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise _disk_error(path.parent, error) from error
+
+
 def fingerprint(study: StudyDescription, scenes: list[tuple[Case, Scene]]) -> str:
     """Return a hash of all that decides a study's results: its description, and the poses and TDOAs it rests on."""
     digest = hashlib.sha256(study.model_dump_json().encode())
@@ -221,6 +237,12 @@ def _check_same(folder: Path, path: Path, manifest: dict[str, str]) -> None:
             f"{folder}: holds another study ({name}, with other values, seed, --quick or --published): name another "
             "folder with -o, or delete this one"
         )
+
+
+def _disk_error(folder: Path, error: OSError) -> DiskError:
+    remedy = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "make it writable"
+    again = "and run the same command again; finished parts are kept"
+    return DiskError(f"{folder}: {reason(error)}: {remedy} {again}")
 
 
 def _column(named: dict[str, Any], name: str, n: int) -> Any:

@@ -35,7 +35,7 @@ class Solved:
     ----------
     places_m : (n, n_mics, 3) array
     settled : (n,) bool array
-        The method came to rest, at a place that is not far away.
+        The method converged, to a place that is not far away.
     at_optimum : (n,) array
         1 where it is what a start at the truth leads to, 0 where not, NaN where the method knows no such thing.
     n_iterations : (n,) integer array

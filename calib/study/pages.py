@@ -8,65 +8,55 @@ from importlib.resources import files
 import numpy as np
 import yaml
 
-from calib.study.description import (
-    CubeArray,
-    DrawnPoses,
-    GaussianNoise,
-    KnownMicrophone,
-    MeasuredNoise,
-    RulerArray,
-    StudyDescription,
-    UniformNoise,
-)
+from calib.methods import MAX_REACH_M
+from calib.study.labels import Labels, noise_words
 from calib.study.run import FinishedStudy
 from calib.study.summary import CaseSummary
 
-NAMES = {
-    "ours-1": "Ours-1 (one reference)",
-    "ours-2": "Ours-2 (all pairs)",
-    "ours-3": "Ours-3 (known ninth)",
-    "search": "Legg, authors' search",
-    "legg-2013": "Legg, 2013 method",
-    "joint": "joint",
-}
 FIGURES = {
-    "paper_rmse_m": "The paper's figure (microphones 1 to 7 over 8; of rounds that came to rest), mm",
-    "rmse_m": "Root mean square error of all microphones, of rounds that came to rest, mm",
-    "median_m": "Median of all rounds' root mean square errors, mm",
-    "aligned_median_m": "The same after the best rigid motion of each, mm",
-    "bound_m": "Cramer-Rao bound for Gaussian noise of this variance, mm",
-    "settled": "Share that came to rest nearby",
-    "at_optimum": "Share at the optimum that the truth leads to",
+    "paper_rmse_m": "The paper's error figure, mm: RMS over the repetitions that converged, squared errors of "
+    "microphones 1 to 7 summed and divided by 8",
+    "rmse_m": "RMS error, mm: of all microphones, over the repetitions that converged",
+    "bound_m": "Cramer-Rao bound of the RMS error, mm: of all microphones, for Gaussian noise of the same variance",
+    "median_m": "Median error, mm: of all repetitions' RMS errors",
+    "aligned_median_m": "Median error after rigid alignment, mm: of all repetitions, the array's shape alone",
+    "settled": f"Convergence rate: repetitions that converged, within {MAX_REACH_M:g} m",
+    "at_optimum": "Optimum rate: repetitions that ended within 1 mm of where a start at the true places ends",
 }
-IN_TERMINAL = ("paper_rmse_m", "rmse_m", "median_m", "bound_m", "at_optimum")
-MOST_COLUMNS = 8  # of a table, in the terminal
+IN_TERMINAL = ("paper_rmse_m", "rmse_m", "bound_m", "median_m", "settled", "at_optimum")
+OF_CONVERGED = ("paper_rmse_m", "rmse_m")
+MOST_COLUMNS = 6  # of a table, in the terminal
 NEVER_MM = 1e5  # more says only that some repetition ran away
+STAND_IN = (
+    "the paper's 69 board poses are stand-ins, drawn at random, since --published was not given: figures differ from "
+    "the paper's"
+)
+QUICK = "made with --quick: so few repetitions show that it runs, and nothing about the methods"
+
+Row = tuple[str, str, int]  # name, method, repetitions
 
 
 def study_page(finished: FinishedStudy, item: str | None = None) -> str:
-    """Return all figures of a study, methods down and noises across, with those printed for an item of the paper."""
-    study = finished.folder.study
-    lines = [f"## {study.title or study.name}", "", f"`{study.name}`, seed {study.seed}", ""]
-    for name, title in FIGURES.items():
-        rows = _pivot(finished.summaries, name)
-        if rows:
-            shown = printed(item) if name == "paper_rmse_m" and item else {}
-            lines += [f"**{title}**", "", *_markdown(rows, shown, _columns(finished.summaries)), ""]
-    return "\n".join(lines)
+    """Return all figures of a study, with those printed for an item of the paper."""
+    columns = _columns(finished, Labels.of(each.case for each in finished.summaries))
+    return "\n".join([*_head(finished), *_tables(finished, item, tuple(FIGURES), columns)])
 
 
 def terminal_page(finished: FinishedStudy, item: str | None = None) -> str:
     """Return the figures that tell most, of some columns where there are many."""
-    columns = _columns(finished.summaries)
-    chosen = set(columns[:: max(len(columns) // MOST_COLUMNS + 1, 1)])
-    some = [summary for summary in finished.summaries if _column(summary, finished.summaries) in chosen]
-    lines = []
-    for name in IN_TERMINAL:
-        rows = _pivot(some, name)
-        if rows:
-            shown = printed(item) if name == "paper_rmse_m" and item else {}
-            lines += [f"**{FIGURES[name]}**", "", *_markdown(rows, shown, _columns(some)), ""]
+    columns = _columns(finished, Labels.of(each.case for each in finished.summaries))
+    chosen = columns
+    if len(columns) > MOST_COLUMNS:
+        chosen = [columns[index] for index in np.linspace(0, len(columns) - 1, MOST_COLUMNS).round().astype(int)]
+    lines = _tables(finished, item, IN_TERMINAL, chosen)
+    if chosen != columns:
+        lines += [f"Columns shown: {len(chosen)} of {len(columns)}; page.md has all of them.", ""]
     return "\n".join(lines)
+
+
+def remarks(finished: FinishedStudy) -> list[str]:
+    """Return what a reader of the figures must know first."""
+    return [text for text, holds in ((QUICK, finished.quick), (STAND_IN, finished.stand_in)) if holds]
 
 
 @cache
@@ -86,47 +76,50 @@ def printed(item: str) -> dict[str, dict[str, float]]:
     return {method: dict(zip(noises, values, strict=True)) for method, values in methods.items()}
 
 
-def parameters_page(studies: list[StudyDescription]) -> str:
-    """Return Table I: what each simulation takes, side by side."""
-    described = [_parameters(study) for study in studies]
-    lines = ["## Parameters of the simulations", "", "| | " + " | ".join(study.name for study in studies) + " |"]
-    lines.append("| --- " * (len(studies) + 1) + "|")
-    lines += [f"| {key} | " + " | ".join(values[key] for values in described) + " |" for key in described[0]]
-    return "\n".join([*lines, ""])
+def _head(finished: FinishedStudy) -> list[str]:
+    """Return title, what the columns of the tables are, and what must be known of the figures."""
+    study, cases = finished.folder.study, [each.case for each in finished.summaries]
+    of_poses = Labels.of(cases).along == "n_poses"
+    across = "number of poses, a random subset for each repetition" if of_poses else "noise"
+    used = {case.noise for case in cases}
+    noises = [f"*{name}*: {noise_words(noise)}" for name, noise in study.noises.items() if name in used]
+    paragraphs = [
+        f"## {study.title or study.name}",
+        f"`{study.name}`, seed {study.seed}. Columns of the tables: n, the number of repetitions; then {across}.",
+        f"Noise: {'; '.join(noises)}.",
+        *(f"**Note:** {remark}." for remark in remarks(finished)),
+    ]
+    return [line for paragraph in paragraphs for line in (paragraph, "")]
 
 
-def _columns(summaries: list[CaseSummary]) -> list[str]:
-    return list(dict.fromkeys(_column(summary, summaries) for summary in summaries))
+def _columns(finished: FinishedStudy, labels: Labels) -> list[str]:
+    return list(dict.fromkeys(labels.column(each.case) for each in finished.summaries))
 
 
-def _column(summary: CaseSummary, summaries: list[CaseSummary]) -> str:
-    """Return the name of a column: the noise and the number of poses, as far as they differ within the study."""
-    case = summary.case
-    words = [case.noise] if len({each.case.noise for each in summaries}) > 1 else []
-    if len({each.case.n_poses for each in summaries}) > 1:
-        words.append("all poses" if case.n_poses is None else f"{case.n_poses} poses")
-    return ", ".join(words) or case.noise
+def _tables(finished: FinishedStudy, item: str | None, figures: tuple[str, ...], columns: list[str]) -> list[str]:
+    lines = []
+    for name in figures:
+        rows = {} if name == "paper_rmse_m" and item is None else _pivot(finished.summaries, name)
+        if rows and all(cell == "100 %" for cells in rows.values() for cell in cells.values()):
+            lines += [f"**{FIGURES[name]}**: 100 % throughout.", ""]
+        elif rows:
+            shown = printed(item) if name == "paper_rmse_m" and item else {}
+            lines += [f"**{FIGURES[name]}**", "", *_markdown(rows, shown, columns), ""]
+    return lines
 
 
-def _row(summary: CaseSummary, summaries: list[CaseSummary]) -> str:
-    """Return the name of a row: the method, and what else differs within the study."""
-    words = [NAMES[summary.case.method]]
-    for field in ("array", "board", "pose_set"):
-        if len({getattr(each.case, field) for each in summaries}) > 1:
-            words.append(f"{field.replace('_', ' ')} {getattr(summary.case, field)}")
-    return ", ".join(words)
-
-
-def _pivot(summaries: list[CaseSummary], figure: str) -> dict[tuple[str, str], dict[str, str]]:
-    """Return cells by (row's name, method) and column; empty where the study has no such figure."""
-    rows: dict[tuple[str, str], dict[str, str]] = {}
+def _pivot(summaries: list[CaseSummary], figure: str) -> dict[Row, dict[str, str]]:
+    """Return cells by row and column; empty where the study has no such figure."""
+    labels, rows = Labels.of(each.case for each in summaries), dict[Row, dict[str, str]]()
     share = figure in ("settled", "at_optimum")
     for summary in summaries:
         value = getattr(summary, figure)
+        if figure in OF_CONVERGED and summary.settled == 0:
+            value = np.inf
         if np.isnan(value):
             continue
-        cells = rows.setdefault((_row(summary, summaries), summary.case.method), {})
-        cells[_column(summary, summaries)] = f"{100 * value:.0f} %" if share else _millimetres(value)
+        cells = rows.setdefault((labels.row(summary.case), summary.case.method, summary.n), {})
+        cells[labels.column(summary.case)] = f"{100 * value:.0f} %" if share else _millimetres(value)
     return rows
 
 
@@ -135,76 +128,13 @@ def _millimetres(value_m: float) -> str:
     return f"{value_mm:.4g}" if value_mm < NEVER_MM else "diverged"
 
 
-def _markdown(
-    rows: dict[tuple[str, str], dict[str, str]], shown: dict[str, dict[str, float]], columns: list[str]
-) -> list[str]:
-    lines = ["| | " + " | ".join(columns) + " |", "| --- " + "| ---: " * len(columns) + "|"]
-    for (name, method), cells in rows.items():
-        lines.append(f"| {name} | " + " | ".join(cells.get(column, "") for column in columns) + " |")
+def _markdown(rows: dict[Row, dict[str, str]], shown: dict[str, dict[str, float]], columns: list[str]) -> list[str]:
+    lines = ["| | n | " + " | ".join(columns) + " |", "| --- | ---: " + "| ---: " * len(columns) + "|"]
+    for (name, method, n), cells in rows.items():
+        lines.append(f"| {name} | {n} | " + " | ".join(cells.get(column, "") for column in columns) + " |")
         if method in shown:
             values = [f"{shown[method][column]:.4g}" if column in shown[method] else "" for column in columns]
             lines.append(
-                "| *the paper prints* | " + " | ".join(f"*{value}*" if value else "" for value in values) + " |"
+                "| *the paper prints* | | " + " | ".join(f"*{value}*" if value else "" for value in values) + " |"
             )
     return lines
-
-
-def _parameters(study: StudyDescription) -> dict[str, str]:
-    (array, *_), noises, start = study.arrays.values(), study.noises, study.start
-    levels = [f"{1e6 * noise.scale_s:.4g}" for noise in noises.values() if not isinstance(noise, MeasuredNoise)]
-    return {
-        "array": _array_words(array),
-        "board poses": ", ".join(_pose_words(each) for each in study.pose_sets.values()),
-        "buzzers": "; ".join(f"layout {name}: {len(each.places_m())}" for name, each in study.boards.items()),
-        "speed of sound": f"{study.speed_of_sound_m_s:g} m/s",
-        "noise": "; ".join(dict.fromkeys(_noise_words(noise) for noise in noises.values())),
-        "scales of the noise, us": ", ".join(dict.fromkeys(levels)),
-        "buzzers out of place": _buzzer_words(study),
-        "first guess": f"box of {start.low_m} to {start.high_m} m at {start.offset_m} m, "
-        f"moved by up to {start.jitter_m:g} m, "
-        f"drawn {start.drawn}{_other_starts(study)}",
-        "known microphone": _known_words(study.known_microphone),
-        "rounds": str(study.repetitions),
-        "Legg's search is judged in the": study.search_judged_in,
-    }
-
-
-def _array_words(array: object) -> str:
-    if isinstance(array, CubeArray):
-        return f"corners of a cube of {array.side_m:g} m, centre {array.centre_m} m from the camera"
-    return "measured by ruler" if isinstance(array, RulerArray) else type(array).__name__
-
-
-def _pose_words(poses: object) -> str:
-    if isinstance(poses, DrawnPoses):
-        far = f"{poses.nearest_m:g} to {poses.furthest_m:g} m"
-        return f"{poses.n_poses} drawn, {far} away, tilted up to {poses.tilt_deg:g}°"
-    return "the paper's 69"
-
-
-def _other_starts(study: StudyDescription) -> str:
-    others = {method: run.starts for run in study.runs if run.starts for method in run.methods}
-    return "".join(f"; {starts} for {method}" for method, starts in others.items())
-
-
-def _known_words(known: KnownMicrophone | None) -> str:
-    if known is None:
-        return "none"
-    return f"{known.position_m} m" if known.position_m else f"{known.on_board_m} m on the board at the first pose"
-
-
-def _noise_words(noise: object) -> str:
-    if isinstance(noise, UniformNoise):
-        return f"uniform from 0 to the scale, on {noise.adds_to}"
-    if isinstance(noise, GaussianNoise):
-        return f"Gaussian, the scale its standard deviation, on {noise.adds_to}"
-    return "as measured"
-
-
-def _buzzer_words(study: StudyDescription) -> str:
-    off = [
-        f"{1e3 * noise.buzzer_std_m:g} mm per axis in {name!r}"
-        for name, noise in study.noises.items()
-        if not isinstance(noise, MeasuredNoise) and noise.buzzer_std_m
-    ]
-    return ", ".join(off) or "no"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.evaluation import PAPER_MICS
+from calib.joint.threads import on_one_thread
 from calib.study.bound import rms_bound_m
 from calib.study.draws import draw_places
 from calib.study.methods import solve_repetitions
@@ -50,6 +51,7 @@ def parts_of(scenes: list[tuple[Case, Scene]]) -> list[Part]:
     return parts
 
 
+@on_one_thread  # threads add up in another order, so last digits would tell who computed
 def solve_part(scene: Scene, repetitions: range) -> Columns:
     """Compute repetitions of a scene: one row each."""
     with np.errstate(all="ignore"):  # what diverges is told by its columns

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import groupby
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from calib.study.pages import NAMES, printed
+from calib.evaluation import PAPER_MICS
+from calib.study.bound import rms_bound_m
+from calib.study.description import MethodName
+from calib.study.draws import draw_places
+from calib.study.labels import NAMES, Labels, noise_kinds
+from calib.study.pages import printed
 from calib.study.run import FinishedStudy
 from calib.study.scene import Scene
 from calib.study.summary import CaseSummary
@@ -37,21 +42,34 @@ STYLE: Any = {
     "svg.hashsalt": "acoustic-camera-rig",  # the same figure is the same file
     "svg.fonttype": "none",
 }
+SPARE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # where methods come up twice
+SIGNS, DASHES = "os^vDxP", ("-", "--", "-.")
 MOST_DRAWN = 2000  # repetitions of a case: box plots tell no more with more of them
-MOST_MM = 2000.0  # more is no answer
+MOST_DECADES = 3  # of an axis: what lies higher has run away
 FURTHEST_M = 3.0  # what ran away further is not drawn in space
+BOXES = (
+    "Error of each microphone in each repetition. Box: the middle half, its line the median; whiskers: up to 1.5 times "
+    "the box's width further; circles: single values beyond. What is over 1000 times the median of all is not shown."
+)
+SPACE = "Where each method places the microphones: medians over the repetitions, and the true places."
+NOTE_BOUND = "Dotted, in the same colour: its Cramer-Rao bound, for Gaussian noise of the same variance."
+
+Line = tuple[str, MethodName, list[CaseSummary]]
+Look = dict[str, Any]
 
 
-def draw_study(finished: FinishedStudy, item: str | None = None) -> list[Path]:
-    """Draw what the study's cases call for, into its folder; return the files."""
+def draw_study(finished: FinishedStudy, item: str | None = None) -> list[tuple[Path, str]]:
+    """Draw what the study's cases call for, into its folder; return the files and their captions."""
     folder, summaries = finished.folder, finished.summaries
     with mpl.rc_context(STYLE):
         if len({summary.case.n_poses for summary in summaries}) > 1:
-            return [_save(_against_poses(finished), folder.path / "poses.svg")]
-        if len({summary.scale_s for summary in summaries if summary.scale_s > 0}) > 1:
-            return [_save(_against_noise(finished, item), folder.path / "noise.svg")]
-        errors = _save(_boxes(finished), folder.path / "microphones.svg")
-        return [errors, _save(_in_space(finished), folder.path / "space.svg")]
+            figure, caption = _against_poses(finished)
+            return [(_save(figure, folder.path / "poses.svg"), caption)]
+        if any(len(cases) > 1 for _, _, cases in _over_noise(finished)):
+            figure, caption = _against_noise(finished, item)
+            return [(_save(figure, folder.path / "noise.svg"), caption)]
+        figures = [(_boxes(finished), "microphones.svg", BOXES), (_in_space(finished), "space.svg", SPACE)]
+        return [(_save(figure, folder.path / name), caption) for figure, name, caption in figures]
 
 
 def _save(figure: Figure, path: Path) -> Path:
@@ -59,90 +77,136 @@ def _save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def _series(finished: FinishedStudy, along: tuple[str, ...] = ()) -> list[tuple[str, str, list[CaseSummary]]]:
-    """Return label, method and cases of each line: what shares all but the fields of the case that it runs along."""
-    summaries, noises = finished.summaries, finished.folder.study.noises
-    fields = [name for name in ("array", "board", "pose_set", "noise", "n_poses") if name not in along]
-
-    def key(summary: CaseSummary) -> tuple[str, ...]:
-        off = getattr(noises[summary.case.noise], "buzzer_std_m", 0.0) > 0 and "noise" in along
-        words = [str(getattr(summary.case, name)) for name in fields]
-        return (summary.case.method, *words, "buzzers off" if off else "")
-
-    differing = [len({getattr(each.case, name) for each in summaries}) > 1 for name in fields]
-    found = []
-    for (method, *words, off), group in groupby(sorted(summaries, key=key), key):
-        shown = [
-            f"{name.replace('_', ' ')} {word}"
-            for name, word, tell in zip(fields, words, differing, strict=True)
-            if tell
-        ]
-        found.append((", ".join(filter(None, [NAMES[method], *shown, off])), method, list(group)))
-    return sorted(found, key=lambda each: list(LOOKS).index(each[1]))
+def _title(finished: FinishedStudy) -> str:
+    told = [words for words, holds in (("--quick", finished.quick), ("stand-in poses", finished.stand_in)) if holds]
+    title = finished.folder.study.title or finished.folder.study.name
+    return f"{title} ({', '.join(told)})" if told else title
 
 
-def _against_noise(finished: FinishedStudy, item: str | None) -> Figure:
-    figure = Figure(figsize=(6.4, 4.2))
-    axes = figure.subplots()
-    study = finished.folder.study
-    as_printed = bool(item and printed(item)) and study.name.endswith("as-published")
-    shown, words = ("paper_rmse_m", "the paper's figure") if as_printed else ("median_m", "median error")
-    for label, method, cases in _series(finished, ("noise",)):
-        if len(cases) < 2:
-            continue
-        colour, sign = LOOKS[method]
+def _lines(finished: FinishedStudy, along: str | None) -> list[Line]:
+    """Return label, method and cases of each line: what shares all but the field of the case that it runs along."""
+    kinds = noise_kinds(finished.folder.study.noises)
+    labels = Labels.of(each.case for each in finished.summaries)
+    groups: dict[tuple[MethodName, str], list[CaseSummary]] = {}
+    for each in finished.summaries:
+        also = {"noise": kinds[each.case.noise], None: each.case.noise if "noise" in labels.differing else ""}
+        groups.setdefault((each.case.method, labels.row(each.case, also.get(along, ""))), []).append(each)
+    found = [(name, method, cases) for (method, name), cases in groups.items()]
+    return sorted(found, key=lambda line: list(NAMES).index(line[1]))
+
+
+def _over_noise(finished: FinishedStudy) -> list[Line]:
+    """Return lines along the scale of the noise, cases in its order."""
+    by_scale = [
+        (name, method, sorted((each for each in cases if each.scale_s > 0), key=lambda each: each.scale_s))
+        for name, method, cases in _lines(finished, "noise")
+    ]
+    return [(name, method, cases) for name, method, cases in by_scale if cases]
+
+
+def _looks(lines: list[Line]) -> list[Look]:
+    """Return how each line is drawn: as its method always is, or told apart where a method has several."""
+    if len({method for _, method, _ in lines}) == len(lines):
+        return [{"color": LOOKS[method][0], "marker": LOOKS[method][1], "ls": "-"} for _, method, _ in lines]
+    return [
+        {
+            "color": SPARE[number % len(SPARE)],
+            "marker": SIGNS[number % len(SIGNS)],
+            "ls": DASHES[number // len(SPARE) % len(DASHES)],
+        }
+        for number in range(len(lines))
+    ]
+
+
+def _against_noise(finished: FinishedStudy, item: str | None) -> tuple[Figure, str]:
+    figure, axes = _canvas()
+    as_printed = bool(item and printed(item)) and finished.folder.study.name.endswith("as-published")
+    shown = "paper_rmse_m" if as_printed else "rmse_m"
+    lines = [line for line in _over_noise(finished) if len(line[2]) > 1]
+    for (label, method, cases), look in zip(lines, _looks(lines), strict=True):
         scale_us = [1e6 * each.scale_s for each in cases]
-        axes.plot(
-            scale_us,
-            [1e3 * getattr(each, shown) for each in cases],
-            sign,
-            ls="-",
-            color=colour,
-            label=label,
-            lw=1.2,
-            ms=5,
-        )
-        if method in ("ours-2", "ours-3"):
-            axes.plot(scale_us, [1e3 * each.bound_m for each in cases], ls=":", color=colour, lw=1,
-                      label=f"bound of {NAMES[method].split()[0]}")  # fmt: skip
-        values = printed(item).get(method, {}) if item else {}
-        by_noise = {each.case.noise: each.scale_s for each in cases}
-        known = [(1e6 * by_noise[noise], value) for noise, value in values.items() if noise in by_noise]
+        axes.plot(scale_us, [1e3 * getattr(each, shown) for each in cases], label=label, lw=1.2, ms=5, **look)
+        bound_m = [_paper_bound_m(finished, each) if as_printed else each.bound_m for each in cases]
+        _draw_bound(axes, scale_us, bound_m, look)
+        values = printed(item).get(method, {}) if item and as_printed else {}
+        known = [(1e6 * each.scale_s, values[each.case.noise]) for each in cases if each.case.noise in values]
         if known:
-            axes.plot(*zip(*known, strict=True), "o", mfc="none", mec=colour, ms=11, lw=0)
-    if item and printed(item):
-        axes.plot([], [], "o", mfc="none", mec="grey", ms=11, lw=0, label="printed in the paper")
-    axes.set(xscale="log", yscale="log", xlabel="scale of the noise, µs", ylabel=f"{words} of the microphones, mm")
-    axes.set_ylim(top=min(axes.get_ylim()[1], MOST_MM))
-    _plain_ticks(axes.xaxis, axes.yaxis)
-    axes.set_title(finished.folder.study.title, fontsize=10)
-    axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
+            axes.plot(*zip(*known, strict=True), "o", mfc="none", mec=look["color"], ms=11, lw=0)
+    axes.set(xscale="log", xlabel="scale of the noise, µs")
+    _finish_axes(axes, _title(finished), "the paper's error figure, mm" if as_printed else "RMS error, mm")
+    _plain_ticks(axes.xaxis)
+    counted = "of microphones 1 to 7 summed and divided by 8, as the paper does" if as_printed else "of all microphones"
+    caption = f"Root mean square error over the repetitions that converged, {counted}. {NOTE_BOUND}"
+    caption += " It counts microphones alike. Large circles: printed in the paper." if as_printed else ""
+    dropped = len(_over_noise(finished)) - len(lines)
+    return figure, caption + (" Noise that comes in one level only is in the tables." if dropped else "")
 
 
-def _against_poses(finished: FinishedStudy) -> Figure:
+def _paper_bound_m(finished: FinishedStudy, summary: CaseSummary) -> float:
+    """Return the bound of the paper's figure, as `bound_m` is that of all microphones; all poses are taken."""
+    scene = finished.scenes[summary.case.number]
+    return float(rms_bound_m(scene, draw_places(scene, range(1)), PAPER_MICS - 1)[0])
+
+
+def _against_poses(finished: FinishedStudy) -> tuple[Figure, str]:
+    """Draw root mean squares, as the bound is one; medians where there is none, as of measurements."""
+    figure, axes = _canvas()
+    lines = _lines(finished, "n_poses")
+    bounded = any(np.isfinite(each.bound_m) for each in finished.summaries)
+    shown = "rmse_m" if bounded else "median_m"
+    for (label, _, group), look in zip(lines, _looks(lines), strict=True):
+        cases = sorted(group, key=lambda each: _n_poses(finished, each))
+        n_poses = [_n_poses(finished, each) for each in cases]
+        axes.plot(n_poses, [1e3 * getattr(each, shown) for each in cases], label=label, lw=1.2, ms=4, **look)
+        _draw_bound(axes, n_poses, [each.bound_m for each in cases], look)
+        if not bounded:
+            lower, upper = ([1e3 * min(getattr(each, name), 1e4) for each in cases] for name in ("lower_m", "upper_m"))
+            axes.fill_between(n_poses, lower, upper, color=look["color"], alpha=0.15, lw=0)
+    axes.set_xlabel("number of poses")
+    _finish_axes(axes, _title(finished), "RMS error, mm" if bounded else "median error, mm")
+    if bounded:
+        return figure, f"Root mean square error of all microphones, over the repetitions that converged. {NOTE_BOUND}"
+    return figure, (
+        "Median of all repetitions' root mean square errors of all microphones; shaded: the middle half of them. "
+        "There is no bound, as the noise of measurements is not known."
+    )
+
+
+def _n_poses(finished: FinishedStudy, summary: CaseSummary) -> int:
+    return summary.case.n_poses or len(finished.scenes[summary.case.number].rotations)
+
+
+def _canvas() -> tuple[Figure, Any]:
     figure = Figure(figsize=(6.4, 4.2))
-    axes = figure.subplots()
-    for label, method, cases in _series(finished, ("n_poses",)):
-        colour, sign = LOOKS[method]
-        n_poses = [each.case.n_poses or 0 for each in cases]
-        axes.plot(
-            n_poses, [1e3 * each.median_m for each in cases], sign, ls="-", color=colour, label=label, lw=1.2, ms=4
-        )
-        lower, upper = ([1e3 * min(getattr(each, name), 1e4) for each in cases] for name in ("lower_m", "upper_m"))
-        axes.fill_between(n_poses, lower, upper, color=colour, alpha=0.15, lw=0)
-    axes.set(yscale="log", ylim=(10, MOST_MM), xlabel="number of poses", ylabel="error of the microphones, mm")
+    return figure, figure.subplots()
+
+
+def _draw_bound(axes: Any, x: Sequence[float], bound_m: list[float], look: Look) -> None:
+    if np.isfinite(bound_m).any():
+        axes.plot(x, 1e3 * np.array(bound_m), ls=":", color=look["color"], lw=1.2)
+
+
+def _finish_axes(axes: Any, title: str, error: str) -> None:
+    """Scale the axis of errors by what is drawn, but for what ran away, and name everything."""
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()] or [np.ones(1)])
+    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
+    if len(drawn):
+        axes.set_ylim(drawn.min() / 1.3, 1.3 * min(drawn.max(), drawn.min() * 10**MOST_DECADES))
+    if any(line.get_linestyle() == ":" for line in axes.get_lines()):
+        axes.plot([], [], ":", color="grey", lw=1.2, label="Cramer-Rao bound of each")
+    if any(line.get_markersize() > 10 for line in axes.get_lines()):
+        axes.plot([], [], "o", mfc="none", mec="grey", ms=11, lw=0, label="printed in the paper")
+    axes.set(yscale="log", ylabel=error)
     _plain_ticks(axes.yaxis)
-    axes.set_title(f"{finished.folder.study.title}: median and quartiles", fontsize=10)
+    axes.set_title(title, fontsize=10)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
 
 
 def _boxes(finished: FinishedStudy) -> Figure:
-    figure = Figure(figsize=(6.4, 3.6))
+    figure = Figure(figsize=(6.4, max(3.6, 1 + 0.3 * len(finished.summaries))))
     axes = figure.subplots()
     labels, errors = [], []
-    for label, _, cases in _series(finished):
+    for label, _, cases in _lines(finished, None):
         for each in cases:
             places_m = _places(finished, each)
             truth_m = finished.scenes[each.case.number].microphones_m
@@ -153,22 +217,31 @@ def _boxes(finished: FinishedStudy) -> Figure:
     axes.set_yticks(range(1, len(labels) + 1), labels, fontsize=8)
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="error of each microphone, mm")
+    _limit(axes, np.concatenate(errors))
     _plain_ticks(axes.xaxis)
-    axes.set_title(finished.folder.study.title, fontsize=10)
+    axes.set_title(_title(finished), fontsize=10)
     return figure
+
+
+def _limit(axes: Any, errors_mm: FloatArray) -> None:
+    """End the axis where errors do, those left aside that are far from the median of all."""
+    found = errors_mm[errors_mm > 0]
+    if len(found):
+        near = found[np.abs(np.log10(found / np.median(found))) <= MOST_DECADES]
+        axes.set_xlim(near.min() / 1.2, near.max() * 1.2)
 
 
 def _in_space(finished: FinishedStudy) -> Figure:
     figure = Figure(figsize=(6.4, 5.4))
     axes: Any = figure.add_subplot(projection="3d")
     scene = finished.scenes[finished.summaries[0].case.number]
-    _scatter(axes, scene.microphones_m, "o", "grey", "true places", 60)
-    for label, method, cases in _series(finished):
-        if method != "search":
-            places_m = np.median(_places(finished, cases[0]), axis=0)
-            _scatter(
-                axes, places_m[np.abs(places_m).max(axis=1) < FURTHEST_M], LOOKS[method][1], LOOKS[method][0], label
-            )
+    truths = {each.case.array: finished.scenes[each.case.number].microphones_m for each in finished.summaries}
+    _scatter(axes, np.vstack(list(truths.values())), "o", "grey", "true places", 60)
+    lines = [line for line in _lines(finished, None) if line[1] != "search"]
+    for (label, _, cases), look in zip(lines, _looks(lines), strict=True):
+        places_m = np.median(_places(finished, cases[0]), axis=0)
+        near_m = places_m[np.abs(places_m).max(axis=1) < FURTHEST_M]
+        _scatter(axes, near_m, look["marker"], look["color"], label)
     _scatter(axes, _middles(scene), ".", "#56B4E9", "middles of the boards", 6)
     _scatter(axes, np.zeros((1, 3)), "*", "red", "camera", 80)
     axes.set(xlabel="x, m", ylabel="z, m", zlabel="y, m")
@@ -179,7 +252,7 @@ def _in_space(finished: FinishedStudy) -> Figure:
     axes.set_aspect("equal")
     axes.view_init(elev=18, azim=-60)
     axes.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 0.9))
-    axes.set_title(finished.folder.study.title, fontsize=10)
+    axes.set_title(_title(finished), fontsize=10)
     return figure
 
 

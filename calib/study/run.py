@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from calib.study.description import StudyDescription
+from calib.study.description import PublishedPoses, StudyDescription
 from calib.study.folder import StudyFolder
 from calib.study.part import Part, parts_of, solve_part
 from calib.study.published import Published
@@ -21,22 +21,43 @@ QUICK_REPETITIONS, QUICK_SIZES = 1, 2
 
 @dataclass(frozen=True)
 class FinishedStudy:
-    """A study with its results."""
+    """A study with its results.
+
+    Parameters
+    ----------
+    folder : StudyFolder
+    scenes : dict of int to Scene
+        By the number of the case.
+    summaries : list of CaseSummary
+    quick : bool
+        A few repetitions only.
+    stand_in : bool
+        It takes stand-ins for the published poses.
+    """
 
     folder: StudyFolder
     scenes: dict[int, Scene]
     summaries: list[CaseSummary]
+    quick: bool
+    stand_in: bool
 
 
 def run_study(
-    study: StudyDescription, path: Path, published: Published, workers: Workers, console: Console
+    study: StudyDescription,
+    path: Path,
+    published: Published,
+    workers: Workers,
+    console: Console,
+    *,
+    quick: bool = False,
 ) -> FinishedStudy:
-    """Compute what is not there yet, and put the tables together.
+    """Compute what is not there yet, and put the tables together; `quick`: with a few repetitions only.
 
     Raises
     ------
     StudyError, FolderError, DiskError, ClusterError
     """
+    study = quickened(study) if quick else study
     scenes = [(case, make_scene(study, case, published)) for case in cases(study)]
     parts = parts_of(scenes)
     folder = StudyFolder.open(path, study, scenes, parts)
@@ -49,7 +70,8 @@ def run_study(
         folder.write_results()
     summaries = summarise(folder)
     folder.write_text("summary.csv", summary_csv(summaries))
-    return FinishedStudy(folder, by_case, summaries)
+    published_poses = any(isinstance(poses, PublishedPoses) for poses in study.pose_sets.values())
+    return FinishedStudy(folder, by_case, summaries, quick, published.stand_in and published_poses)
 
 
 def quickened(study: StudyDescription) -> StudyDescription:

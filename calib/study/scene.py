@@ -130,8 +130,6 @@ def make_scene(study: StudyDescription, case: Case, published: Published) -> Sce
     """
     wanted = study.pose_sets[case.pose_set]
     poses = drawn_poses(wanted) if isinstance(wanted, DrawnPoses) else published.poses
-    if case.n_poses is not None and case.n_poses > len(poses):
-        raise StudyError(f"{study.name}: n_poses {case.n_poses} is more than {case.pose_set!r} has ({len(poses)})")
     noise = study.noises[case.noise]
     measured_s = None
     if isinstance(noise, MeasuredNoise):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import asdict, dataclass, fields
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.study.folder import StudyFolder
+from calib.study.part import Part
 from calib.study.scene import Case
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +30,7 @@ class CaseSummary:
     n : int
         Repetitions.
     rmse_m, paper_rmse_m : float
-        Roots of the mean squares over the repetitions that came to rest nearby: one that ran away would be all of it.
+        Roots of the mean squares over the repetitions that converged nearby: one that ran away would be all of it.
         The paper's figure leaves microphone 8 out.
     median_m, lower_m, upper_m : float
         Median and quartiles of all repetitions' root mean square errors.
@@ -37,7 +39,7 @@ class CaseSummary:
     bound_m : float
         Cramer-Rao bound.
     settled, at_optimum : float
-        Shares: came to rest nearby; where a start at the truth leads to.
+        Shares: converged nearby; where a start at the truth leads to.
     """
 
     case: Case
@@ -55,17 +57,21 @@ class CaseSummary:
 
 
 def summarise(folder: StudyFolder) -> list[CaseSummary]:
-    """Return a summary of each case, in order."""
-    columns: dict[int, list[FloatArray]] = {}
-    cases: dict[int, Case] = {}
-    for part, table in zip(folder.parts, folder.tables(), strict=True):
-        cases[part.case.number] = part.case
-        values = [np.asarray(table.column(name).to_numpy(zero_copy_only=False), dtype=float) for name in COLUMNS]
-        columns.setdefault(part.case.number, []).append(np.array(values))
+    """Return a summary of each case, in order; the errors of one case are held at a time."""
     return [
-        _summary(case, getattr(folder.study.noises[case.noise], "scale_s", float("nan")), np.hstack(columns[number]))
-        for number, case in cases.items()
+        _summary(case, getattr(folder.study.noises[case.noise], "scale_s", float("nan")), _values(folder, list(parts)))
+        for case, parts in groupby(folder.parts, lambda part: part.case)
     ]
+
+
+def _values(folder: StudyFolder, parts: list[Part]) -> FloatArray:
+    """Return the errors of some parts' repetitions, (figures, n)."""
+    ends = np.cumsum([0, *(len(part.repetitions) for part in parts)])
+    values = np.empty((len(COLUMNS), ends[-1]))
+    for table, first, end in zip(folder.tables(parts, COLUMNS), ends, ends[1:], strict=False):
+        for row, name in enumerate(COLUMNS):
+            values[row, first:end] = table.column(name).to_numpy(zero_copy_only=False)
+    return values
 
 
 def summary_csv(summaries: list[CaseSummary]) -> str:

@@ -8,12 +8,13 @@ from pathlib import Path
 import click
 
 from rigs.command import run
+from rigs.target import session_file
 
 FAILED = 5
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=click.Path(path_type=Path), callback=session_file)
 @click.option(
     "--calibration",
     required=True,

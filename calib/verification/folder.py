@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from calib.outputs import check_writable
 from calib.verification.film import write_film
 from calib.verification.movement import WHOLE_ARRAY
 from calib.verification.overlay import BAR_PX, BASE_WIDTH_PX, overlay
@@ -40,8 +40,7 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     """
     if folder.name in ("", "..") or not folder.parent.is_dir():
         raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
-    if not os.access(folder.parent, os.W_OK):
-        raise TargetError(f"{folder}: the folder {folder.parent} is read-only: name an --output elsewhere")
+    check_writable(folder.parent)
     if not (folder.exists() or folder.is_symlink()):
         return
     if not overwrite:
@@ -99,6 +98,7 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "errors": {spread.name: _figures(spread) for spread in spreads(verification)},
         "movement": {
             "told": not movement.doubt,
+            **({"why_not": movement.doubt} if movement.doubt else {}),
             "smallest_told_m": None if movement.doubt else float(f"{movement.resolution_m:.3g}"),
             "moved": [
                 {

@@ -24,9 +24,9 @@ TOLERATED_SIGMAS, TOLERATED_M = 6.0, 0.001
 
 
 def settings_of(calibration: StoredCalibration, description: RigDescription) -> Settings:
-    """Return the settings that calibrate the same channels by the same method."""
+    """Return the settings that calibrate the same channels in the same way."""
     left_out = tuple(channel for channel in description.audio.channels if channel not in calibration.channels)
-    return Settings(method=calibration.method, excluded_channels=left_out)
+    return replace(calibration.settings, excluded_channels=left_out)
 
 
 def held_out_poses(poses: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -62,8 +62,8 @@ def check_unchanged(calibration: StoredCalibration, again: StoredCalibration) ->
     if apart_m[worst] > TOLERATED_SIGMAS * std_m[worst] + TOLERATED_M:
         raise ResultFileError(
             f"the calibration has microphone {calibration.channels[worst]} {1e3 * apart_m[worst]:.1f} mm from where "
-            "its own session puts it: was it edited by hand, or made with --hold or --find-delays? Verify on another "
-            "session"
+            "its own session puts it: was it edited by hand, or made by an earlier version with --hold or "
+            "--find-delays? Verify on another session"
         )
 
 

@@ -27,6 +27,7 @@ FloatArray = NDArray[np.float64]
 
 MAX_STD_M = 0.01  # of a microphone against the others: a session that knows less cannot tell
 WHOLE_ARRAY = -1
+SAME_MOMENT = "these poses were captured when it was calibrated; capture a later session and verify that"
 
 
 @dataclass(frozen=True)
@@ -84,12 +85,17 @@ class MovementCheck:
         The shift of a single microphone, in its worst direction, that is as long as three standard deviations; NaN
         where the session cannot tell.
     doubt : str
-        Why the session cannot tell; empty where it can.
+        Why the session cannot tell, and what would; empty where it can.
     """
 
     motions: list[Motion]
     resolution_m: float
     doubt: str = ""
+
+    @classmethod
+    def untold(cls, doubt: str) -> MovementCheck:
+        """Return the check of a session that cannot tell."""
+        return cls([], float("nan"), doubt)
 
 
 def check_movement(
@@ -114,11 +120,13 @@ def check_movement(
     try:
         now_m, covariance = _placed_anew(calibration, description, view, corners, tdoas)
     except (NotEnoughDataError, NotConvergedError):
-        return MovementCheck([], float("nan"), "too few or too similar poses to place the microphones anew")
+        return MovementCheck.untold("too few or too similar poses to place the microphones anew; more poses help")
     now = replace(calibration, positions_m=now_m, array_covariance_m2=covariance)
     resolution_m = _resolution_m(calibration.array_covariance_m2 + covariance)
     if resolution_m > 3 * MAX_STD_M:
-        return MovementCheck([], float("nan"), f"it would miss a microphone that moved by {1e3 * resolution_m:.0f} mm")
+        return MovementCheck.untold(
+            f"it would miss a microphone that moved by {1e3 * resolution_m:.0f} mm; more poses help"
+        )
     return MovementCheck(motions_of(compare(calibration, now)), resolution_m)
 
 

@@ -22,7 +22,7 @@ from calib.sound import windows_of
 from calib.verification.comparison import Comparison, compare, see_buzzers
 from calib.verification.heldout import calibrate_without, check_alone, check_unchanged, held_out_poses, settings_of
 from calib.verification.location import Heard, Located, Speed, locate
-from calib.verification.movement import MovementCheck, check_movement
+from calib.verification.movement import SAME_MOMENT, MovementCheck, check_movement
 from calib.verification.steering import ResponseMap, SteeredResponse
 from calib.verification.verdict import Limits, Verdict, judge
 from rigs.description import RigDescription
@@ -96,8 +96,8 @@ def verify(
     corners = find_pose_corners(session, min_poses=MIN_POSES)
     tell("measuring arrivals in the sound")
     session_sha256 = session.sha256()
-    tdoas = measure_tdoas(session, cache=ArrivalCache(session.path, session_sha256))
     made_again = session_sha256 in calibration.sessions
+    tdoas = measure_tdoas(session, calibration.settings.tdoa, ArrivalCache(session.path, session_sha256))
     known = Speed(description.medium.speed_m_s(), description.medium.speed_std_m_s())
     if made_again:
         check_alone(calibration, session_sha256)
@@ -114,7 +114,10 @@ def verify(
     rows = emission_rows(view, tdoas)
     located, comparison = locate_emissions(calibration, description, view, corners, tdoas, known)
     tell("asking whether the array has moved")
-    movement = check_movement(calibration, description, view, corners, tdoas)
+    if made_again:
+        movement = MovementCheck.untold(SAME_MOMENT)
+    else:
+        movement = check_movement(calibration, description, view, corners, tdoas)
     tell("steering the array over the pictures")
     session_rows = accepted_rows(session)[rows]
     maps = None if session.tdoas is not None else _maps(session, session_rows, calibration, located)

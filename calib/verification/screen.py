@@ -42,20 +42,25 @@ def show(verification: Verification, folder: Path, codec: str | None, console: C
 def _show_verdict(verification: Verification, console: Console) -> None:
     verdict = verification.verdict
     if verdict.passed:
-        words = (
-            f"sounds lie on their buzzers, within {verdict.limits.error_deg:g} degrees in the median"
-            f"{'' if verification.movement.doubt else ', and the array has not moved'}"
-        )
-        console.print(_line("PASS", "bold green", words))
+        words = f"sounds lie on their buzzers, within {verdict.limits.error_deg:g} degrees in the median"
+        console.print(_line("PASS", "bold green", words + _unmoved(verification)))
     for failure in verdict.failures:
         console.print(_line("FAIL", "bold red", failure))
+
+
+def _unmoved(verification: Verification) -> str:
+    if verification.movement.doubt:
+        return ""
+    if verification.movement.motions:
+        return f", and nothing has moved by more than {1e3 * verification.verdict.limits.moved_m:g} mm"
+    return ", and the array has not moved"
 
 
 def _origin(verification: Verification) -> Text:
     n_poses, calibration = len(np.unique(verification.pose)), verification.calibration
     words = (
-        f"{verification.located.found.sum()} of {len(verification.row)} sounds located, at {n_poses} poses that the "
-        "calibration has not used"
+        f"{verification.located.found.sum()} of {len(verification.row)} sounds located, at {n_poses} "
+        f"{'pose' if n_poses == 1 else 'poses'} that the calibration has not used"
     )
     if verification.made_again:
         words += (
@@ -86,9 +91,7 @@ def _cells(spread: Spread) -> list[str]:
 def _movement(verification: Verification) -> Table:
     movement, limit_mm = verification.movement, 1e3 * verification.verdict.limits.moved_m
     if movement.doubt:
-        return _line(
-            "?", "bold yellow", f"whether the array has moved cannot be told: {movement.doubt}; more poses help"
-        )
+        return _line("?", "bold yellow", f"whether the array has moved since is not told: {movement.doubt}")
     resolved = f"a microphone that moved alone would show from {1e3 * movement.resolution_m:.1f} mm on"
     slight = [motion.sentence() for motion in movement.motions if motion not in verification.verdict.alarms]
     if slight:

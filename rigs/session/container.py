@@ -168,7 +168,7 @@ def _is_growing(path: Path) -> bool:
     if not head:
         raise SessionError(f"{path}: empty (0 bytes): the recording never began, or the copy failed")
     if len(head) < 12 or head[:8] != _SIGNATURE:
-        raise SessionError(f"{path}: not an HDF5 file, so not a session")
+        raise SessionError(f"{path}: not an HDF5 file, so not a session: name a file of rig-capture")
     return head[8] == 3 and bool(head[11] & _WRITE_FLAGS)
 
 

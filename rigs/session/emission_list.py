@@ -10,7 +10,7 @@ from rich.table import Table
 
 from rigs.session.reader import Session
 
-_HEADINGS = ("emission", "pose", "buzzer", "attempt", "at, s", "onset, ms")
+_HEADINGS = ("emission", "pose", "buzzer", "repeat", "at, s", "onset, ms")
 
 
 def print_emissions(session: Session, console: Console) -> None:
@@ -25,14 +25,14 @@ def print_emissions(session: Session, console: Console) -> None:
 
 
 def emission_rows(session: Session) -> Iterator[tuple[str, ...]]:
-    """Yield of each emission its number, pose, buzzer, attempt, place in the sound, onset against it, and verdict."""
+    """Yield of each emission its number, pose, buzzer, repeat, place in the sound, onset against it, and verdict."""
     good_poses = session.poses["pose"][session.poses["accepted"] != 0]
     for number, emission in enumerate(session.emissions):
         expected, at, onset = int(emission["expected_sample"]), "", ""
         if expected >= 0:
             at = f"{expected / session.sample_rate_hz:.3f}"
             onset = _onset_ms(session, number, expected)
-        whole = (number, emission["pose"], emission["buzzer"], emission["repeat"] + 1)
+        whole = (number, emission["pose"], emission["buzzer"], emission["repeat"])
         counts = whether_it_counts(bool(emission["accepted"]), bool(np.isin(emission["pose"], good_poses)), expected)
         yield (*(str(int(value)) for value in whole), at, onset, counts)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rigs.errors import RigError
+from rigs.target import session_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,9 +46,9 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("--emission", "emissions", type=Numbers(), help="Which, counted from 0: 12, 3-8 or 1,4,7-9.")
-@click.option("--all", "every", is_flag=True, help="Every emission of the session.")
+@click.option("--all", "every", is_flag=True, help="Every emission whose place in the sound is known.")
 @click.option("--channel", "channels", type=int, multiple=True, help="Only this input channel (may be repeated).")
 @click.option("--before-s", type=click.FloatRange(0, 60), default=0.02, show_default=True, help="Sound before it.")
 @click.option("--after-s", type=click.FloatRange(0, 60), default=0.2, show_default=True, help="Sound after it.")
@@ -72,7 +73,7 @@ def audio(
     if every == (emissions is not None):
         raise click.UsageError("say which: --emission 12, --emission 3-8, or --all")
     with Session.open(file) as session:
-        numbers = list(range(len(session.emissions))) if emissions is None else emissions
+        numbers = _placed(session) if emissions is None else emissions
         for number in numbers or [0]:
             check_emission(session, number)
         if output is not None or not play:
@@ -82,10 +83,19 @@ def audio(
             _play((cut(session, number, heard, before_s, after_s) for number in numbers), session.sample_rate_hz)
 
 
+def _placed(session: Session) -> list[int]:
+    """Return the emissions whose place in the sound is known, and say how many are none; all where all are none."""
+    expected = session.emissions["expected_sample"]
+    placed = [int(number) for number in ((expected >= 0) & (expected < session.n_samples)).nonzero()[0]]
+    if 0 < len(placed) < len(expected):
+        click.echo(f"{len(expected) - len(placed)} of {len(expected)} left out: audio was lost while they sounded")
+    return placed or list(range(len(expected)))
+
+
 def _write(
     session: Session, numbers: list[int], excerpt_of: Callable[[int], Excerpt], output: Path | None, form: Format | None
 ) -> None:
-    from rigs.session.sound_files import format_of, write_sound  # noqa: PLC0415
+    from rigs.session.sound_files import FORMATS, format_of, write_sound  # noqa: PLC0415
     from rigs.target import whole_file, whole_folder  # noqa: PLC0415
 
     if len(numbers) == 1:
@@ -96,6 +106,8 @@ def _write(
         click.echo(f"{path}: emission {numbers[0]}")
         return
     folder = output or session.path.with_suffix(".audio")
+    if folder.suffix.lower() in {f".{each}" for each in FORMATS}:
+        raise RigError(f"{folder}: {len(numbers)} emissions make a file each: name a folder, or one --emission")
     with whole_folder(folder) as unfinished:
         for number in numbers:
             excerpt = excerpt_of(number)
@@ -115,7 +127,7 @@ def _play(excerpts: object, sample_rate_hz: float) -> None:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path), callback=session_file)
 @click.option("--frame", "frames", type=Numbers(), help="Which, counted from 0: 12, 3-8 or 1,4,7-9 [default: all].")
 @click.option("--pose", "poses", type=Numbers(), help="Only those of these poses: 3, 0-4 or 1,4,7-9.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to make [default: FILE.frames].")

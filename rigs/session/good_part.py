@@ -14,9 +14,8 @@ from rigs.session import layout
 from rigs.session.wreck import Wreck
 from rigs.session.writer import SessionWriter
 
-Watch = Callable[
-    [NDArray[np.void], str], Iterable[np.void]
-]  # gives the rows on, and shows how far it is, and with what
+# Gives the rows on, and shows how far it is, and with what.
+Watch = Callable[[NDArray[np.void], str], Iterable[np.void]]
 _MAX_PLACES = 5
 _SILENCE_SAMPLES = 2**16
 

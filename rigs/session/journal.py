@@ -31,7 +31,8 @@ _MAX_RECORD_BYTES = 2**28
 
 
 def journal_path(session: Path) -> Path:
-    """Return where the journal of a session file is."""
+    """Return where the journal of a session file is: beside the file itself, where `session` is a link to it."""
+    session = session.resolve() if session.is_symlink() else session
     return session.with_name(f"{session.name}.journal")
 
 

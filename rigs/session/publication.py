@@ -35,6 +35,7 @@ class Publication:
     def __init__(self, path: Path) -> None:
         if not path.parent.is_dir():
             raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
+        path = path.resolve() if path.is_file() and path.is_symlink() else path  # a link stays one
         self.path, self.hidden, self.is_done = path, path.with_name(f".{path.name}.new"), False
         if is_being_recorded(self.hidden):
             raise TargetExistsError(

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from rigs.errors import RigError, SessionError, reason
+from rigs.errors import RigError, TargetError
 from rigs.session.excerpts import Excerpt
 
 Format = Literal["wav", "flac"]
@@ -40,7 +40,7 @@ def write_sound(path: Path, excerpt: Excerpt, sample_rate_hz: float, form: Forma
     ------
     SoundFormatError
         FLAC cannot hold it.
-    SessionError
+    TargetError
         It could not be written.
     """
     import soundfile  # noqa: PLC0415 - loads a library that most commands do without
@@ -55,4 +55,6 @@ def write_sound(path: Path, excerpt: Excerpt, sample_rate_hz: float, form: Forma
     try:
         soundfile.write(path, samples, round(sample_rate_hz), subtype=SUBTYPES[form], format=form.upper())
     except (soundfile.LibsndfileError, RuntimeError) as error:
-        raise SessionError(f"{path}: could not be written: {reason(error)}") from error
+        raise TargetError(
+            f"{path.name}: could not be written: free some space or choose another disk"  # libsndfile says no more
+        ) from error

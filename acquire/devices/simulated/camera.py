@@ -55,9 +55,13 @@ class SimulatedCamera:
         self._collect_until(self._n_taken(start_s), start_s)
         return self._frame(self._number, taken_s)
 
-    def collect(self, rhythm: Rhythm | None) -> None:
-        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them."""
-        self._queue = None if rhythm is None else FrameQueue(rhythm)
+    def collect(self, rhythm: Rhythm | None) -> int:
+        """Collect frames from now on, also after it was lost and opened again; None: no more, and forget them.
+
+        Returns how many were due until now and are missing, beyond those of which the collected frames tell.
+        """
+        ended, self._queue = self._queue, None if rhythm is None else FrameQueue(rhythm)
+        return 0 if ended is None else ended.n_missing_at(self._stage.clock.now_s())
 
     def collected(self) -> list[Frame]:
         """Return the frames of the virtual time that has passed; none while it is closed. Raises as `read` does."""
