@@ -16,7 +16,7 @@ import numpy as np
 heard = np.zeros((0, 8), np.float32)
 with sounddevice.InputStream(device="pulse", channels=8, samplerate=48000, dtype="float32", latency=0.2) as stream:
     print("recording", flush=True)
-    while (heard[:, 7] > 0.5).sum() == 0:
+    while (heard[:, 7] > 0.5).sum() == 0 and len(heard) < 60 * 48000:
         heard = np.concatenate([heard, stream.read(4800)[0]])
 print(json.dumps([int(np.argmax(channel)) for channel in heard.T]))
 """
