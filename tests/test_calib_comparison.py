@@ -18,7 +18,7 @@ from calib.result_file import StoredCalibration, read_result
 from calib.settings import Settings
 from rigs.command import run
 from rigs.description import Intrinsics
-from rigs.geometry import Pose
+from rigs.geometry import Pose, rotation_matrix
 
 CHANNELS = tuple(range(1, 9))
 INTRINSICS = Intrinsics(focal_px=(940, 940), principal_px=(640, 360))
@@ -51,6 +51,22 @@ def test_false_alarms_are_as_rare_as_said():
     assert np.mean([each.differ for each in found]) <= FALSE_ALARM + 3 * np.sqrt(FALSE_ALARM / 300)
     for fits in ([each.unmoved for each in found], [each.rigid for each in found if not each.differ]):
         assert 0.42 < np.mean([fit.chi_square.chance for fit in fits]) < 0.58
+
+
+def test_an_array_that_was_turned_keeps_its_covariance():
+    """Depth is known worst in both results; that of the first turns with the array."""
+    turned_m = MICROPHONES_M @ rotation_matrix(np.array([1.2, 0.0, 0.0])).T
+    covariance_m2 = np.kron(np.eye(8), np.diag([1e-4, 1e-4, 1e-3]) ** 2)
+    chances = []
+    for seed in range(60):
+        generator = np.random.default_rng(seed)
+        errors_m = generator.multivariate_normal(np.zeros(24), covariance_m2, 2).reshape(2, 8, 3)
+        first, second = (
+            replace(measured(generator, MICROPHONES_M, name), positions_m=places, array_covariance_m2=covariance_m2)
+            for name, places in zip("ab", errors_m + np.array([MICROPHONES_M, turned_m]), strict=True)
+        )
+        chances.append(compare(first, second).rigid.chi_square.chance)
+    assert 0.35 < np.mean(chances) < 0.65
 
 
 def test_a_microphone_that_moved_is_named():

@@ -98,6 +98,16 @@ def test_the_equations_of_onsets_match_numeric_derivatives():
         assert -(costs[1] - costs[0]) / 2e-7 == pytest.approx(whole.pose_gradient[pose, place], rel=1e-4)
 
 
+def test_a_known_emission_time_counts_by_what_its_arrivals_leave_open():
+    """Its own variance, and that of the weighted mean of the arrivals."""
+    rig = make_rig(0, n_poses=4)
+    problem, _ = assemble(rig.description, rig.view(), rig.corners, with_sync(rig, rig.tdoas), CHANNELS)
+    at, arrivals = rig.truth.with_latencies(6), problem.arrivals
+    onsets = replace(problem.onsets, onset_s=np.average(arrivals.offsets_s(at), axis=1, weights=arrivals.information))
+    variances_s2 = SYNC_STD_S**2 + 1 / arrivals.information.sum(axis=1)
+    np.testing.assert_allclose(onsets.weights(arrivals, at, arrivals.information), 1 / variances_s2, rtol=1e-6)
+
+
 def test_known_emission_times_are_worth_what_the_bound_says():
     gains, squares, errors = [], [], []
     for seed in range(6):

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from conftest import BUZZERS_M, board_poses, write_measured_session
 from measured_rig import CHANNELS, Rig, make_rig
+from test_calib_sync import LATENCIES_S, with_sync
 
 from calib.camera import look
 from calib.cli import command
@@ -16,6 +17,7 @@ from calib.joint.arrivals import ArrivalTable
 from calib.joint.assemble import assemble
 from calib.joint.corners import CornerTable
 from calib.joint.problem import Weights
+from calib.joint.robust import solve_robustly
 from calib.joint.session import answer_jointly
 from calib.joint.uncertainty import shared_covariance
 from calib.settings import Settings
@@ -120,6 +122,25 @@ def test_the_equations_of_several_sessions_match_numeric_derivatives():
         numeric = -(costs[1] - costs[0]) / (2 * step)
         assert numeric == pytest.approx(gradient[place], rel=1e-4, abs=1e-6 * np.abs(gradient).max() * 1e-3)
     shared_covariance(problem, at, problem.stated_weights())
+
+
+def test_each_session_has_latencies_of_its_own():
+    """What a filter makes of a buzzer's sound is learnt in each session anew, and so is how late it is."""
+    days = two_days(0, n_poses=6)
+    parts = [
+        replace(measured(day, name), tdoas=with_sync(day, day.tdoas)) for day, name in zip(days, "ab", strict=True)
+    ]
+    later = replace(parts[1].tdoas.sound, onset_s=parts[1].tdoas.sound.onset_s - 1e-3)
+    parts[1] = replace(parts[1], tdoas=replace(parts[1].tdoas, sound=later))
+    corners, tdoas = put_together(parts)
+    description = days[0].description
+    problem, start = assemble(
+        description, look(description.camera, description.board, corners), corners, tdoas, CHANNELS,
+        media=tuple(part.description.medium for part in parts),
+    )  # fmt: skip
+    found = solve_robustly(problem, start.placed(days[0].truth.microphones_m)).at
+    expected_s = np.concatenate([LATENCIES_S, LATENCIES_S + 1e-3])
+    np.testing.assert_allclose(found.shared[found.blocks.latencies], expected_s, atol=2e-5)
 
 
 def test_one_speed_for_both_days_would_be_wrong():
