@@ -100,7 +100,7 @@ class Follower:
         self._memory.is_over = True
         try:
             result = calibrate(session, self._settings, memory=self._memory)
-        except CalibrationError as error:
+        except (CalibrationError, SessionError) as error:
             self._say(progress(growth.value, session, missing=str(error)))
             raise
         write_calibration(result, target, overwrite=overwrite)
