@@ -59,7 +59,7 @@ def spoilt(tmp_path: Path, document: dict) -> Path:
 
 def test_a_later_session_passes(later, calibration, capsys):
     before = later.read_bytes(), calibration.read_bytes()
-    assert verify(later, "--calibration", calibration) == 0
+    assert verify(later, "--calibration", calibration, "--limit-moved-mm", 3) == 0
     assert (later.read_bytes(), calibration.read_bytes()) == before
     said = capsys.readouterr().out
     assert said.startswith("PASS")
@@ -95,7 +95,18 @@ def test_a_microphone_that_moved_fails(tmp_path, simulated_description, calibrat
     said = " ".join(capsys.readouterr().out.split())
     assert "moved, but by less than 10 mm" in said
     assert "nothing has moved by more than 10 mm" in said
-    assert "has not moved" not in said
+
+
+def test_a_limit_that_cannot_be_seen_is_not_told(later, calibration, capsys):
+    assert verify(later, "--calibration", calibration, "--limit-moved-mm", 0.01) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("PASS sounds lie on their buzzers, within 0.25 degrees in the median ")
+    assert "has moved by" not in said
+    assert "? whether the array has moved since is not told: a microphone could have moved by up to" in said
+    movement = yaml.safe_load((later.with_suffix(".verify") / "verification.yaml").read_text())["movement"]
+    assert not movement["told"]
+    assert "the limit is 0.01 mm" in movement["why_not"]
+    assert movement["smallest_told_m"] == max(movement["smallest_told_by_channel_m"].values()) > 1e-5
 
 
 def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys):
@@ -110,8 +121,7 @@ def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys)
 def test_the_calibrations_own_session_does_not_tell_of_movement(calibration, tmp_path, capsys):
     assert verify(calibration.with_name("s1.h5"), "--calibration", calibration, "-o", tmp_path / "own") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "has not moved" not in said
-    assert "no microphone has moved" not in said
+    assert "has moved by" not in said
     assert "whether the array has moved since is not told: these poses were captured when it was calibrated" in said
     movement = yaml.safe_load((tmp_path / "own" / "verification.yaml").read_text())["movement"]
     assert not movement["told"]
@@ -214,7 +224,10 @@ def test_fewer_channels_are_verified_or_refused(later, document, tmp_path, capsy
     exit_code, error = refused(capsys, later, keep(4))
     assert exit_code == 2
     assert "at least 5 are needed" in error
-    assert verify(later, "--calibration", keep(6)) == 0
+    assert verify(later, "--calibration", keep(6), "--limit-moved-mm", 9) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "none of the 6 microphones checked has moved" in said
+    assert "channels 7, 8: not checked" in said
 
 
 @pytest.mark.parametrize(

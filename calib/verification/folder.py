@@ -77,6 +77,7 @@ def write_folder(
 def as_document(verification: Verification, codec: str | None) -> dict[str, Any]:
     """Return the verification as plain values."""
     verdict, movement, calibration = verification.verdict, verification.movement, verification.calibration
+    untold = movement.unseen(verdict.limits.moved_m)
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -97,9 +98,15 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "n_located": int(verification.located.found.sum()),
         "errors": {spread.name: _figures(spread) for spread in spreads(verification)},
         "movement": {
-            "told": not movement.doubt,
-            **({"why_not": movement.doubt} if movement.doubt else {}),
-            "smallest_told_m": None if movement.doubt else float(f"{movement.resolution_m:.3g}"),
+            "told": not untold,
+            **({"why_not": untold} if untold else {}),
+            "smallest_told_m": float(f"{movement.resolution_m:.3g}") if movement.resolutions_m else None,
+            "smallest_told_by_channel_m": {
+                int(channel): float(f"{resolution_m:.3g}") for channel, resolution_m in movement.resolutions_m.items()
+            },
+            "unchecked_channels": list(verification.unchecked),
+            "swapped_channels": [list(pair) for pair in movement.swapped],
+            "another_rig": movement.is_foreign(verdict.limits.moved_m),
             "moved": [
                 {
                     "what": "array" if motion.channel == WHOLE_ARRAY else int(motion.channel),
