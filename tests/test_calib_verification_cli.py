@@ -1,6 +1,9 @@
 """`rig-verify` as a user runs it, on sessions that begin with measured corners and TDOAs."""
 
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +110,20 @@ def test_a_limit_that_cannot_be_seen_is_not_told(later, calibration, capsys):
     assert not movement["told"]
     assert "the limit is 0.01 mm" in movement["why_not"]
     assert movement["smallest_told_m"] == max(movement["smallest_told_by_channel_m"].values()) > 1e-5
+
+
+@pytest.mark.parametrize(("limit_deg", "exit_code"), [(0.001, 5), (1.0, 0)])
+def test_a_reader_who_has_gone_changes_no_verdict(later, calibration, limit_deg, exit_code):
+    program = "import sys; from calib.verification.cli import main; sys.argv[0] = 'rig-verify'; main()"
+    command = [sys.executable, "-c", program, later, "--calibration", calibration, "--limit-deg", limit_deg]
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        found = subprocess.run([str(word) for word in command], stdout=writing, stderr=subprocess.PIPE, check=False)
+    finally:
+        os.close(writing)
+    assert found.returncode == exit_code
+    assert found.stderr == b""
 
 
 def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys):

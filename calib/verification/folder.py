@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calib.outputs import check_writable
 from calib.verification.film import write_film
 from calib.verification.movement import WHOLE_ARRAY
-from calib.verification.overlay import BAR_PX, BASE_WIDTH_PX, overlay
+from calib.verification.overlay import bar_px, overlay
 from calib.verification.pipeline import Verification
 from calib.verification.statistics import Spread, spreads
 from rigs import __version__
@@ -22,7 +22,7 @@ from rigs.errors import TargetError, TargetExistsError
 from rigs.geometry import CAMERA_FRAME
 from rigs.session.picture import encode
 from rigs.session.reader import Session
-from rigs.target import whole_folder
+from rigs.target import no_folder, whole_folder
 
 Picture = NDArray[np.uint8]
 
@@ -39,7 +39,7 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     TargetError
     """
     if folder.name in ("", "..") or not folder.parent.is_dir():
-        raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
+        raise TargetError(no_folder(folder))
     check_writable(folder.parent)
     if not (folder.exists() or folder.is_symlink()):
         return
@@ -62,9 +62,7 @@ def write_folder(
     Raises
     ------
     TargetError
-        Something of this name is there.
-    OSError
-        The folder cannot be written to.
+        Something of this name is there, or the folder cannot be written to.
     """
     check_folder(folder, overwrite=overwrite)
     with whole_folder(folder, replace=overwrite) as unfinished:
@@ -88,6 +86,7 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "limits": asdict(verdict.limits),
         "session": verification.session_name,
         "calibration": {
+            "file": calibration.name,
             "method": calibration.method,
             "sessions": [{"name": name, "sha256": sha256} for sha256, name in calibration.sessions.items()],
             "made_again_without_these_poses": verification.made_again,
@@ -165,8 +164,7 @@ def _write_pictures(
     tell("drawing the film")
     scenes = _spread(len(verification.row), MAX_SCENES)
     width, height = verification.size_px
-    bar = 2 * round(BAR_PX * width / BASE_WIDTH_PX / 2)
-    return write_film(folder / FILM, _scenes(verification, session, scenes), (width, height + bar))
+    return write_film(folder / FILM, _scenes(verification, session, scenes), (width, height + bar_px(width)))
 
 
 def _scenes(verification: Verification, session: Session, scenes: NDArray[np.intp]) -> Iterator[Picture]:
