@@ -55,6 +55,8 @@ def refused(capsys, session: Path, calibration: Path, *more: object) -> tuple[in
 
 
 def spoilt(tmp_path: Path, document: dict) -> Path:
+    """Write a result edited by someone who means it, without its digest."""
+    document = {key: value for key, value in document.items() if key != "digest"}
     path = tmp_path / "spoilt.calib.yaml"
     path.write_text(yaml.safe_dump(document, sort_keys=False))
     return path
@@ -182,6 +184,18 @@ def test_an_edited_calibration_of_the_own_session_is_refused(calibration, docume
 def test_an_edited_calibration_fails_on_a_later_session(later, document, tmp_path):
     document["microphones"][2]["position_m"][0] += 0.02
     assert verify(later, "--calibration", spoilt(tmp_path, document)) == 5
+
+
+def test_an_edited_calibration_says_so(later, document, tmp_path, capsys):
+    path = tmp_path / "x.calib.yaml"
+    path.write_text(yaml.safe_dump(document))  # in another order, with other breaks: the same numbers
+    read_result(path)
+    document["microphones"][2]["position_m"][0] += 1e-4
+    path.write_text(yaml.safe_dump(document))
+    exit_code, error = refused(capsys, later, path)
+    assert exit_code == 2
+    assert "x.calib.yaml: edited by hand since it was written" in error
+    assert "remove the line `digest`" in error
 
 
 def test_sounds_beside_their_buzzers_fail(later, calibration, capsys):
