@@ -114,7 +114,7 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models_in(inner)
 
 
-def _is_branch(model: type[BaseModel], tag: str) -> bool:
+def _is_branch(model: type[BaseModel], tag: int | str) -> bool:
     return any(get_args(field.annotation) == (tag,) for field in model.model_fields.values())
 
 

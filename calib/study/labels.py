@@ -54,7 +54,11 @@ class Labels:
 
     def row(self, case: Case, *also: str) -> str:
         """Return the name of a case's row: its method, and what else differs but the column; `also` is added."""
-        return ", ".join(filter(None, [NAMES[case.method], *self._words(case), *also]))
+        return ", ".join(filter(None, [NAMES[case.method], self.rest(case, *also)]))
+
+    def rest(self, case: Case, *also: str) -> str:
+        """Return what else than the method differs but the column; `also` is added."""
+        return ", ".join(filter(None, [*self._words(case), *also]))
 
     def _words(self, case: Case) -> list[str]:
         told = [name for name in FIELDS if name in self.differing and name != self.along]

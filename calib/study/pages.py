@@ -10,7 +10,7 @@ import yaml
 
 from calib.methods import MAX_REACH_M
 from calib.study.description import RulerArray
-from calib.study.labels import Labels
+from calib.study.labels import NAMES, Labels
 from calib.study.parameters import tried_table
 from calib.study.run import FinishedStudy
 from calib.study.summary import CaseSummary
@@ -84,6 +84,44 @@ def remarks(finished: FinishedStudy) -> list[str]:
         OUTLIERS: any(getattr(noise, "outliers", 0) for noise in noises),
     }
     return [text for text, holds in told.items() if holds]
+
+
+def printed_beside_ours(studies: list[tuple[str, str, FinishedStudy]]) -> list[str]:
+    """Return a table of what the paper prints, what came out, and the difference; nothing where it prints nothing.
+
+    Parameters
+    ----------
+    studies : list of (str, str, FinishedStudy)
+        Name, the paper's item, and what came out.
+    """
+    rows = [row for name, item, finished in studies for row in _printed_rows(name, item, finished)]
+    if not rows:
+        return ["The paper's text has no figures for this to stand beside.", ""]
+    head = [
+        "## Printed and ours, in short",
+        "",
+        "The paper's error figure, mm. Its figures 3 and 4 print pictures only; its Table I is not among what we have.",
+        "",
+    ]
+    return [
+        *head,
+        "| study | method | noise | printed | ours | difference |",
+        f"| {'--- | ' * 3}{'---: | ' * 3}",
+        *rows,
+        "",
+    ]
+
+
+def _printed_rows(name: str, item: str, finished: FinishedStudy) -> list[str]:
+    rows = []
+    for each in finished.summaries:
+        value_mm = printed(item).get(each.case.method, {}).get(each.case.noise)
+        if value_mm is None:
+            continue
+        difference = f"{100 * (1e3 * each.paper_rmse_m / value_mm - 1):+.1f} %" if each.n_settled else ""
+        cells = (NAMES[each.case.method], each.case.noise, f"{value_mm:.4g}", _cell(each, "paper_rmse_m"), difference)
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return rows
 
 
 @cache

@@ -63,9 +63,7 @@ def _parameters(study: StudyDescription, *, stand_in: bool) -> dict[str, str]:
     return {
         "array": _array_words(array),
         "board poses": ", ".join(_pose_words(each, stand_in=stand_in) for each in study.pose_sets.values()),
-        "buzzers": "; ".join(
-            f"{_board_words(study.boards[name])}, for {methods}" for name, methods in _users(study).items()
-        ),
+        "buzzers": "; ".join(boards),
         "speed of sound": f"{study.speed_of_sound_m_s:g} m/s",
         "noise": "; ".join(dict.fromkeys(_noise_words(noise) for noise in noises.values())),
         "scales of the noise, us": ", ".join(dict.fromkeys(levels)),
