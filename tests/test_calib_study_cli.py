@@ -80,10 +80,14 @@ def test_all_quick(rig_study, tmp_path):
     assert made == (simulated | measured if published else simulated)
     figures = {path.name for path in (tmp_path / "out").glob("*/*.svg")}
     assert figures == ({"noise.svg", "microphones.svg", "space.svg", "poses.svg"} if published else {"noise.svg"})
-    assert "made with --quick" in report
+    assert "made with --quick: one repetition of each combination" in report
+    assert "| table2-as-published | Ours-2 (all pairs) | level 1 | 7.936 |" in report
+    assert "| buzzers | layout A of the paper's authors, 6 buzzers, for ours-2, joint; layout B" in report
     if published:
         assert "| *the paper prints* | | *24.44* |" in report
         assert "26.06" in report
+        assert report.count("those of the authors' ruler") == 4
+        assert "Not drawn, since it would hide the others: Legg, authors' search" in report
     else:
         for text in (out, report):
             assert "stand-ins, drawn at random" in text

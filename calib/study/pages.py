@@ -42,12 +42,13 @@ QUICK = (
 )
 RULER = (
     "measured by ruler: the true places are those of the authors' ruler, in a frame that is itself turned against the "
-    "camera's by some 7 degrees. So errors are distances to that frame: of two methods, the nearer one need not be the "
+    "camera's by 6 to 7 degrees. So errors are distances to that frame: of two methods, the nearer one need not be the "
     "better one"
 )
 KNOWING = (
-    "Legg, 2013 method takes flight times (times of emission known) and a microphone at a known place, which ours-1, "
-    "ours-2 and joint do not have; its bound is that of flight times"
+    "Legg, 2013 method takes flight times and a microphone at a known place, which Ours-1, Ours-2 and joint do not "
+    "have (times of emission are known to it; of measurements, by the distance to the known microphone); its bound is "
+    "that of flight times"
 )
 OUTLIERS = "bounds are those of the noise without outliers, which no method reaches that does not know which they are"
 
@@ -114,11 +115,13 @@ def printed_beside_ours(studies: list[tuple[str, str, FinishedStudy]]) -> list[s
 
 def _printed_rows(name: str, item: str, finished: FinishedStudy) -> list[str]:
     rows = []
-    for each in finished.summaries:
+    for each in sorted(finished.summaries, key=lambda each: list(NAMES).index(each.case.method)):
         value_mm = printed(item).get(each.case.method, {}).get(each.case.noise)
         if value_mm is None:
             continue
-        difference = f"{100 * (1e3 * each.paper_rmse_m / value_mm - 1):+.1f} %" if each.n_settled else ""
+        difference = (
+            f"{round(100 * (1e3 * each.paper_rmse_m / value_mm - 1), 1) + 0.0:+.1f} %" if each.n_settled else ""
+        )
         cells = (NAMES[each.case.method], each.case.noise, f"{value_mm:.4g}", _cell(each, "paper_rmse_m"), difference)
         rows.append(f"| {name} | {' | '.join(cells)} |")
     return rows

@@ -151,7 +151,8 @@ def _draw_errors(axes: Any, x: Sequence[float], cases: list[CaseSummary], shown:
         return
     few = [(place, value) for place, value, each in zip(x, values_mm, cases, strict=True) if _is_open(each)]
     if few:
-        axes.plot(*zip(*few, strict=True), mfc="white", mec=look["color"], marker=look["marker"], lw=0, ms=4.5)
+        sign = {"mfc": "white", "mec": look["color"], "marker": look["marker"], "ms": 4.5}
+        axes.plot(*zip(*few, strict=True), lw=0, zorder=5, **sign)
     if shown == "rmse_m":
         bars_mm = [1e3 * each.rmse_std_error_m for each in cases]
         axes.errorbar(x, values_mm, bars_mm, fmt="none", ecolor=look["color"], elinewidth=0.9, capsize=2)
