@@ -2,16 +2,18 @@
 
 import shutil
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from conftest import MICROPHONES_M, write_measured_session
+from rich.console import Console
 
 from calib.cli import command
 from calib.comparison import FALSE_ALARM, compare
-from calib.comparison_screen import verdict
+from calib.comparison_screen import show_comparison, verdict
 from calib.errors import MethodError
 from calib.result import SOFTWARE, Recording
 from calib.result_file import StoredCalibration, read_result
@@ -102,7 +104,27 @@ def test_a_shift_below_the_uncertainty_is_not_seen():
 
 def test_an_array_that_changed_everywhere_differs():
     places_m = MICROPHONES_M + 0.004 * np.random.default_rng(0).standard_normal((8, 3))
-    assert all(compared(seed, places_m).differ for seed in range(10))
+    found = [compared(seed, places_m) for seed in range(10)]
+    assert all(each.differ for each in found)
+    assert all(
+        verdict(each).startswith("the results differ: they look like those of two different rigs") for each in found
+    )
+    assert "the focal length 940.0 px there, 940.0 px here" in verdict(found[0])
+
+
+def test_swapped_channels_are_named():
+    assert verdict(compared(0, MICROPHONES_M[[0, 1, 2, 4, 3, 5, 6, 7]])) == (
+        "the results differ: channels 4 and 5 look swapped: check the plugs"
+    )
+
+
+def test_large_shifts_fit_a_terminal_of_80_columns():
+    with StringIO() as screen:
+        show_comparison(compared(0, MICROPHONES_M[::-1]), Console(file=screen, width=80))
+        said = screen.getvalue()
+    assert "channel" in said
+    assert "in shape" in said
+    assert "…" not in said
 
 
 def run_compare(*paths) -> int:

@@ -23,7 +23,6 @@ PHOTO_BRIGHTNESS = 0.7
 BASE_WIDTH_PX = 1280.0  # what sizes below are meant for
 ZOOM, INSET_PX, INSET_RING_PX = 5, 220, 2
 BAR_PX, BAR_LINES = 78, 3  # of words below the picture
-LETTER_PX = 9.0  # of a line of words, each, on average
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SUBPIXEL_BITS = 4
 
@@ -144,10 +143,10 @@ def _with_bar(picture: Picture, verification: Verification, caption: str, ink: _
     ink.text(bar, caption, (left, lines[0]), PLAIN)
     _legend(bar, lines[0], ink)
     of = f"session {verification.session_name}, calibration {verification.calibration.name}"
-    ink.text(bar, _shortened(of, 0.7 * width / ink.scale), (left, lines[1]), PLAIN)
+    ink.text(bar, _shortened(of, 0.7 * width, ink), (left, lines[1]), PLAIN)
     if verification.maps is not None:
         _scale(bar, lines[1], ink)
-    verdict = _shortened(_verdict(verification), width / ink.scale)
+    verdict = _shortened(_verdict(verification), width - 2 * left, ink)
     ink.text(bar, verdict, (left, lines[2]), GOOD if verification.verdict.passed else BAD)
     return np.vstack([picture, bar])
 
@@ -185,8 +184,8 @@ def _verdict(verification: Verification) -> str:
     return f"PASS, and nothing has moved by more than {1e3 * verdict.limits.moved_m:g} mm"
 
 
-def _shortened(words: str, room_px: float) -> str:
+def _shortened(words: str, room_px: float, ink: _Ink) -> str:
     """Cut words to what fits a line; OpenCV's letters are of ASCII alone."""
     words = words.encode("ascii", "replace").decode()
-    most = int(room_px / LETTER_PX)
-    return words if len(words) <= most else f"{words[: most - 3]}..."
+    wide_px = cv2.getTextSize(words, FONT, 0.5 * ink.scale, ink.line)[0][0]
+    return words if wide_px <= room_px else f"{words[: int(len(words) * room_px / wide_px) - 4]}..."
