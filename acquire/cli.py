@@ -93,7 +93,7 @@ def cli(session: Path, rig: str | None, poses: int | None, seed: int | None, res
     with stop_on_signals() as stop_wanted, screen_for(console) as screen:
         status = capture(found, path, screen=screen, poses=poses, seed=seed, stop_wanted=stop_wanted, resumes=resumes)
     with suppress(SystemExit, OSError):  # rich's answer to a broken pipe: nobody reads this any more
-        for line in (*_fault_lines(status), _next_line(status.saved, found.description.min_poses, path)):
+        for line in (*_fault_lines(status), _next_line(status.saved, found.description.min_poses, path, status.silent)):
             console.print(line, soft_wrap=True, markup=False)
     return 0
 
@@ -131,22 +131,30 @@ def _rig_line(found: FoundDescription) -> str:
     return f"rig {found.description.name}, from {found.where}: {why}"
 
 
-def _next_line(n_saved: int, n_needed: int, path: Path) -> str:
+def _next_line(n_saved: int, n_needed: int, path: Path, silent: tuple[int, ...] = ()) -> str:
+    """Return the command that will work: a silent channel has to be left out."""
     if n_saved < n_needed:
         return f"next: capture a session with more poses: rig-calibrate needs at least {n_needed} poses, 25 are good"
     shown = f"./{path}" if str(path).startswith("-") else str(path)
-    return f"next: rig-calibrate {shlex.quote(shown)}"
+    return " ".join(["next: rig-calibrate", shlex.quote(shown), *(f"--exclude-channel {one}" for one in silent)])
 
 
 def _fault_lines(status: Status) -> list[str]:
-    """Say which channels were at fault until the end; rig-calibrate may refuse them."""
-    from acquire.status import CHANNEL_REMEDIES
+    """Say which channels were at fault until the end, and which buzzers were seldom or never heard."""
+    from acquire.status import CHANNEL_REMEDIES, OFTEN_MISSED
 
-    return [
+    channels = [
         f"warning: channel {channel} was {kind} until the end: {CHANNEL_REMEDIES[kind]}; or leave it out: "
         f"rig-calibrate --exclude-channel {channel}"
         for channel, kind in status.faults.items()
     ]
+    buzzers = [
+        f"warning: buzzer {buzzer} was not heard {n_missed} of {status.fired[buzzer]} times: check its wires, its pin "
+        "on the board and its loudness; rig-calibrate rests on the other buzzers then"
+        for buzzer, n_missed in sorted(status.missed.items())
+        if n_missed > OFTEN_MISSED * status.fired[buzzer]
+    ]
+    return channels + buzzers
 
 
 def main() -> None:

@@ -146,6 +146,8 @@ class Poses:
         for number, (repeat, buzzer) in enumerate(self._shots, start=1):
             self._status.buzzer, self._status.emission = buzzer, number
             faults.append(self._emissions.fire(self._pose, buzzer, repeat))
+            self._status.fired[buzzer] += 1
+            self._status.missed[buzzer] += faults[-1] is None
         self._status.buzzer = None
         heard = [each for each in faults if each is not None]
         if heard:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -15,6 +15,7 @@ CHANNEL_REMEDIES = {
     "silent": "check its cable, power and mute switch; calibration cannot place it",
     "clipped": "turn its gain down",
 }
+OFTEN_MISSED = 0.2  # of the times that a buzzer was fired
 _BEHIND_S = 1.0  # audio that waited longer than this tells of a slow disk
 
 
@@ -59,6 +60,10 @@ class Status:
         How many a pose has.
     earlier_s : float
         Sound that the file held before this run.
+    faults : dict of int to str
+        Of each channel that is at fault, what it is.
+    fired, missed : Counter of int
+        How often each buzzer was fired for good, and how often no attempt was good.
     """
 
     rig: str
@@ -75,6 +80,8 @@ class Status:
     board: str = "not looked for yet"
     advice: str = ""
     faults: dict[int, str] = field(default_factory=dict)
+    fired: Counter[int] = field(default_factory=Counter)
+    missed: Counter[int] = field(default_factory=Counter)
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=20))
     backlog_s: float = 0.0
     level_dbfs: NDArray[np.float64] = field(init=False)
@@ -87,6 +94,11 @@ class Status:
         peak = np.nan_to_num(np.abs(samples).max(axis=0, initial=0.0)).astype(float)
         peak_dbfs = 20 * np.log10(np.maximum(peak, 10 ** (QUIET_DBFS / 20)))
         self.level_dbfs = np.maximum(peak_dbfs, self.level_dbfs - _FALL_DB_PER_S * duration_s)
+
+    @property
+    def silent(self) -> tuple[int, ...]:
+        """Channels that heard nothing until the end."""
+        return tuple(sorted(channel for channel, kind in self.faults.items() if kind == "silent"))
 
     @property
     def is_behind(self) -> bool:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from calib.camera import View
 from calib.fit import FittedTdoas, robust_sigma
 from calib.joint.uncertainty import microphone_covariances
+from calib.sound import SoundArrivals
 from rigs.description import Medium, RigDescription
 from rigs.session.reader import Session
 
@@ -21,6 +22,8 @@ LARGE_SIGMA_FACTOR = 3.0
 LARGE_REJECTED_SHARE = 0.05
 CULPRIT_SHARE = 0.5
 FEW_PAIRS = 3
+SELDOM_SHARE = 0.8  # a buzzer that is heard less often is named
+NOISY_FACTOR = 3.0  # of a channel's uncertainty over the others'
 
 
 def session_doubts(session: Session) -> list[str]:
@@ -29,6 +32,41 @@ def session_doubts(session: Session) -> list[str]:
     if not session.complete:
         doubts.insert(0, "the session was cut off, or is still being captured: only what was in the file then is used")
     return doubts
+
+
+def buzzer_doubts(session: Session, sound: SoundArrivals | None) -> list[str]:
+    """Name buzzers that were seldom or never heard, of the poses that count."""
+    poses = session.poses["pose"][session.poses["accepted"] == 1]
+    emissions = session.emissions
+    good = (emissions["accepted"] == 1) & np.isin(emissions["pose"], poses)
+    if sound is not None:
+        good[sound.rows] &= np.isfinite(sound.arrival_s).sum(axis=1) >= 2
+    n_wanted, doubts = len(poses) * session.description.signal.repeats, []
+    for buzzer in session.description.board.buzzers:
+        n_heard = int(np.count_nonzero(good & (emissions["buzzer"] == buzzer.id)))
+        if n_heard < SELDOM_SHARE * n_wanted:
+            seldom = f"only {n_heard} of its {n_wanted} times" if n_heard else f"in none of {len(poses)} poses"
+            doubts.append(
+                f"buzzer {buzzer.id} was heard {seldom}: check its wires, its pin on the board and its loudness; the "
+                "answer rests on the other buzzers"
+            )
+    return doubts
+
+
+def noise_doubts(sound: SoundArrivals) -> list[str]:
+    """Name channels whose arrivals are much less certain than those of the others."""
+    stds_s = {
+        channel: float(np.median(std_s[heard]))
+        for channel, std_s, heard in zip(sound.channels, sound.std_s.T, np.isfinite(sound.arrival_s).T, strict=True)
+        if heard.any()
+    }
+    usual_s = float(np.median(list(stds_s.values())))
+    return [
+        f"channel {channel} is noisy: its arrivals are uncertain by {1e6 * std_s:.2g} us, usual here is "
+        f"{1e6 * usual_s:.2g} us: check its cable, gain and ground"
+        for channel, std_s in stds_s.items()
+        if std_s > NOISY_FACTOR * usual_s
+    ]
 
 
 def view_doubts(view: View) -> list[str]:

@@ -124,9 +124,10 @@ def tdoas_of(session: Session, rows: RowArray, sound: SoundArrivals) -> Emission
     """
     if not np.isfinite(sound.arrival_s).any():
         reasons = ", ".join(sound.flaws.counts()) or "nothing"
-        raise NotEnoughDataError(
-            f"no emission was heard by any microphone ({reasons}): check buzzers, gains and signal"
-        )
+        remedy = "check buzzers, gains and signal"
+        if sound.mode == "gcc-phat":
+            remedy = "GCC-PHAT needs less noise: leave --tdoa out, so that the known waveform is looked for"
+        raise NotEnoughDataError(f"no emission was heard by any microphone ({reasons}): {remedy}")
     columns = np.array(list(combinations(range(len(sound.channels)), 2)), dtype=np.int32)
     tdoa_s = sound.arrival_s[:, columns[:, 1]] - sound.arrival_s[:, columns[:, 0]]
     limit_s = session.description.calibration.max_tdoa_s
@@ -150,7 +151,10 @@ def _channel_warnings(sound: SoundArrivals) -> list[str]:
         share = float(heard[:, column].mean())
         if share == 0:
             why = "".join(f" ({flaw})" for flaw in flaws.of_channel(column) if flaw not in HARMLESS)
-            warnings.append(f"channel {channel} heard none of the emissions{why}")
+            warnings.append(
+                f"channel {channel} heard none of the emissions{why} and has no position: check its cable, power and "
+                "mute switch, then capture again"
+            )
         elif share < 1 - OFTEN:
             warnings.append(f"channel {channel} heard only {share:.0%} of the emissions: check its cable and gain")
         if Flaw.INVERTED in flaws.of_channel(column):

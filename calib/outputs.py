@@ -67,7 +67,13 @@ def write_outputs(contents: Mapping[Path, bytes], *, overwrite: bool) -> None:
     """
     check_outputs(contents, overwrite=overwrite)
     with ExitStack() as stack:
-        hidden = {path: _hidden(path, content, stack) for path, content in contents.items()}
+        hidden = {}
+        for path, content in contents.items():
+            try:
+                hidden[path] = _hidden(path, content, stack)
+            except OSError as error:  # an error of writing names no file
+                raise OSError(error.errno, reason(error), str(path)) from error
+        check_outputs([path for path in contents if not overwrite], overwrite=False)  # a racing run may have been here
         for path, temporary in hidden.items():
             temporary.replace(path)
 

@@ -9,8 +9,8 @@ from calib.cache import ArrivalCache
 from calib.camera import look
 from calib.conclusion import conclude
 from calib.corners import find_pose_corners
-from calib.doubts import session_doubts
-from calib.emissions import measure_tdoas
+from calib.doubts import buzzer_doubts, noise_doubts, session_doubts
+from calib.emissions import EmissionTdoas, measure_tdoas
 from calib.errors import MethodError
 from calib.joint.session import answer_jointly
 from calib.measurements import Measurements
@@ -102,9 +102,13 @@ def measure(
         tdoas=tdoas,
         truth=session.truth,
         sound=sound_report(session, tdoas.sound) if tdoas.sound else None,
-        doubts=[] if growing else session_doubts(session),
+        doubts=[] if growing else [*session_doubts(session), *_hearing_doubts(session, tdoas)],
         rejections=session_rejections(session, corners, tdoas),
     )
+
+
+def _hearing_doubts(session: Session, tdoas: EmissionTdoas) -> list[str]:
+    return [*buzzer_doubts(session, tdoas.sound), *(noise_doubts(tdoas.sound) if tdoas.sound else ())]
 
 
 def _answer(measured: Measured, channels: tuple[int, ...], settings: Settings, memory: Memory | None) -> Answer:

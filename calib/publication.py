@@ -10,6 +10,7 @@ from calib.outputs import beside, check_outputs, write_outputs
 from calib.report.names import LABELS, REPORT
 from calib.result import Calibration
 from calib.result_file import StoredCalibration, as_stored
+from calib.result_writer import as_text
 from calib.settings import Settings
 from rigs.session.reader import Session
 
@@ -47,8 +48,10 @@ class Publication:
         names = [*([REPORT] if self.report else []), *endings(self.formats), *drawn]
         check_outputs([beside(self.target, name) for name in names], overwrite=self.overwrite)
 
-    def publish(self, sessions: list[Session], result: Calibration, settings: Settings) -> list[str]:
-        """Write everything, or nothing, and return the lines that say so.
+    def publish(
+        self, sessions: list[Session], result: Calibration, settings: Settings, *, with_result: bool = False
+    ) -> list[str]:
+        """Write everything, with the result itself where that is wanted, or nothing; return the lines that say so.
 
         Raises
         ------
@@ -70,7 +73,7 @@ class Publication:
         if self.report:
             contents[REPORT] = report(sessions, result, settings, self.target.name)
             said.append(f"Report: {beside(self.target, REPORT)}")
-        self._write(contents)
+        self._write(contents, {self.target: as_text(result)} if with_result else {})
         verdict = judge(result, sessions[0].description)
         return [f"Verdict: {verdict.level}. {verdict.sentence}", *said]
 
@@ -85,7 +88,6 @@ class Publication:
         self._write(contents)
         return [f"Exported: {beside(self.target, ending)}" for ending in contents]
 
-    def _write(self, contents: dict[str, bytes]) -> None:
-        write_outputs(
-            {beside(self.target, ending): content for ending, content in contents.items()}, overwrite=self.overwrite
-        )
+    def _write(self, contents: dict[str, bytes], named: dict[Path, bytes] | None = None) -> None:
+        there = {beside(self.target, ending): content for ending, content in contents.items()}
+        write_outputs({**(named or {}), **there}, overwrite=self.overwrite)

@@ -26,18 +26,24 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
         The disk is full.
     """
     check_result_target(path, overwrite=overwrite)
-    text = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
+    text = as_text(result)
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
         raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
+        with os.fdopen(handle, "wb") as file:
             file.write(text)
         Path(temporary).chmod(0o644)
         _put_in_place(Path(temporary), path, overwrite=overwrite)
     finally:
         Path(temporary).unlink(missing_ok=True)
+
+
+def as_text(result: Calibration) -> bytes:
+    """Return the content of the YAML file."""
+    text: str = yaml.safe_dump(as_document(result), sort_keys=False, default_flow_style=None, width=120)
+    return text.encode()
 
 
 def check_result_target(path: Path, *, overwrite: bool) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from rich import box
 from rich.console import Console
 from rich.markup import escape
@@ -57,12 +56,13 @@ def _microphone_table(result: Calibration) -> Table:
     for axis in "xyz":
         table.add_column(axis, justify="right")
         table.add_column(f"std {axis}", justify="right", style="cyan")
-    table.add_column("std", justify="right", style="bold cyan")
-    for channel, position_m, std_m in zip(result.channels, result.positions_m, result.std_m, strict=True):
+    table.add_column("weakest", justify="right", style="bold cyan")
+    rows = zip(result.channels, result.positions_m, result.std_m, result.worst_std_m, strict=True)
+    for channel, position_m, std_m, worst_m in rows:
         cells = [str(channel)]
         for value, std in zip(position_m, std_m, strict=True):
             cells += [f"{1e3 * value:+.2f}", f"{1e3 * std:.2f}"]
-        table.add_row(*cells, f"{1e3 * float(np.linalg.norm(std_m)):.2f}")
+        table.add_row(*cells, f"{1e3 * float(worst_m):.2f}")
     return table
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -15,8 +16,9 @@ from calib.errors import MethodError
 from calib.pipeline import calibrate, calibrate_together
 from calib.request import Request
 from calib.result_file import read_result
-from calib.result_writer import check_result_target, write_calibration
+from calib.result_writer import check_result_target
 from calib.screen import show, show_published
+from rigs.errors import TargetExistsError
 from rigs.session.reader import Session
 
 GOOD = 0
@@ -42,8 +44,7 @@ def task_of(request: Request) -> Task:
 def calibrate_sessions(request: Request, console: Console) -> int:
     """Solve one session, or several together."""
     publication, settings = request.publication, request.settings
-    check_result_target(publication.target, overwrite=request.overwrite)
-    publication.check()
+    _check_targets(request)
     with ExitStack() as stack:
         status = stack.enter_context(console.status("opening"))
         sessions = [stack.enter_context(Session.open(file)) for file in request.files]
@@ -53,12 +54,24 @@ def calibrate_sessions(request: Request, console: Console) -> int:
 
         together = len(sessions) > 1
         result = calibrate_together(sessions, settings, tell) if together else calibrate(sessions[0], settings, tell)
-        write_calibration(result, publication.target, overwrite=request.overwrite)
-        tell("writing what stands beside the result")
-        published = publication.publish(sessions, result, settings)
+        tell("writing the result and what stands beside it")
+        published = publication.publish(sessions, result, settings, with_result=True)
     show(result, publication.target, console)
     show_published(published, console)
     return GOOD
+
+
+def _check_targets(request: Request) -> None:
+    """Refuse what is there already; who wants exports only is told how to have them of the result that is there."""
+    publication = request.publication
+    try:
+        check_result_target(publication.target, overwrite=request.overwrite)
+    except TargetExistsError as error:
+        if not publication.formats:
+            raise
+        command = shlex.join(["rig-calibrate", str(publication.target), "--export", ",".join(publication.formats)])
+        raise TargetExistsError(f"{error}, or export from it without solving again: {command}") from error
+    publication.check()
 
 
 def calibrate_growing(request: Request, _: Console) -> int:

@@ -109,7 +109,7 @@ def test_a_session_is_followed_to_its_end_and_gives_what_it_gives_at_once(bench)
     assert all(set(line) == set(bench.lines[0]) >= set(FIGURES) for line in bench.lines)
     assert solved["poses_used"] >= FIRST
     assert solved["rmse_m"] < 0.003
-    assert "board centre at" in solved["next_pose"]["text"]
+    assert "centre of the squares at" in solved["next_pose"]["text"]
     assert {line["state"] for line in bench.lines} == {"waiting", "solved", "closed"}
     followed = bench.path.with_suffix(".calib.yaml")
     assert bench.lines[-1]["result"] == followed.name

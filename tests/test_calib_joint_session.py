@@ -109,7 +109,7 @@ def test_the_next_pose_helps_as_much_as_is_said():
 def test_suggestions_are_sentences():
     answer = answered(make_rig(0), suggest_poses=2)
     assert len(answer.suggestions) == 2
-    assert all("board centre at x" in suggestion.sentence() for suggestion in answer.suggestions)
+    assert all("centre of the squares at x" in suggestion.sentence() for suggestion in answer.suggestions)
 
 
 @pytest.mark.parametrize(

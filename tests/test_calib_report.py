@@ -255,7 +255,8 @@ def test_the_reason_of_the_verdict_is_told_with_its_limit(calibrated):
     result, description = calibrated
     poor = dataclasses.replace(result, view=dataclasses.replace(result.view, rms_px=2.0), warnings=["a doubt"])
     assert judge(poor, description).sentence == (
-        "Do not rely on these positions, because of: corners of the board (2 px; usable: ≤ 1.5 px)."
+        "Do not rely on these positions, because of: corners of the board (2 px; usable: ≤ 1.5 px). First: check "
+        "focus, and that the board is flat, then capture again."
     )
     sentence = judge(dataclasses.replace(result, warnings=["a doubt"]), description).sentence
     assert sentence.endswith("Use them with care, because of: warnings (1; good: none).")

@@ -1,6 +1,7 @@
 """The bench guide's drawings: those of today's board, with every label legible."""
 
 import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,32 @@ def test_the_guide_measures_squares_that_the_board_has(bench):
     for number in (row, column):
         assert f"({number * size_mm:g} mm wanted)" in guide
     assert f"Divide by {row} and by {column}" in guide
+
+
+def test_the_sync_output_is_drawn_with_the_divider_of_the_firmwares_page(bench, tmp_path):
+    """5 V on a sound input does harm: no straight line may be drawn from pin 8."""
+    bench.draw_wiring().save(tmp_path / "wiring.svg")
+    words = re.findall(r">([^<>]+)</text>", (tmp_path / "wiring.svg").read_text())
+    wiring = (DOCS.parent / "firmware" / "README.md").read_text()
+    for part, sign in {
+        "10 kilohm": "pin 8 ---[ 10 kilohm ]",
+        "1 kilohm": "[ 1 kilohm ]",
+        "470 ohm": "[ 470 ohm ]",
+    }.items():
+        assert sign in wiring
+        assert part in words
+    assert words.count("9") == 1  # the input of the sync output, beside those of the microphones
+
+
+def test_guide_drawing_and_description_agree_on_buzzers_and_columns(bench, tmp_path):
+    board = find_description("bench8").description.board
+    bench.draw_board(board).save(tmp_path / "board.svg")
+    drawn, guide = (tmp_path / "board.svg").read_text(), (DOCS / "bench-guide.md").read_text()
+    for _, right, down, depth in bench.buzzers_mm(board):
+        assert f"x {right:+g}, y {down:+g}" in drawn
+        assert f"(z = {depth / 1e3:g})" in guide
+    assert f"columns 1 and {bench.measured_squares(board)[0]}" in " ".join(guide.split())
+    assert f"plate of {bench.A3_MM[0]:g} x {bench.A3_MM[1]:g} mm" in guide
 
 
 @pytest.mark.parametrize("corners", [(9, 6), (8, 5), (6, 9), (11, 8)])

@@ -37,12 +37,10 @@ def chosen_formats(names: str | None) -> tuple[str, ...]:
     if names is None:
         return ()
     chosen = [name.strip() for name in names.split(",")]
-    if chosen == ["all"]:
-        return tuple(FORMATS)
-    unknown = next((name for name in chosen if name not in FORMATS), None)
+    unknown = next((name for name in chosen if name not in {*FORMATS, "all"}), None)
     if unknown is not None:
         raise MethodError(f"--export: {unknown!r} is not known: give all, or some of {','.join(FORMATS)}")
-    return tuple(dict.fromkeys(chosen))
+    return tuple(FORMATS) if "all" in chosen else tuple(dict.fromkeys(chosen))
 
 
 def endings(names: tuple[str, ...]) -> list[str]:

@@ -21,7 +21,7 @@ from calib.joint.unknowns import Unknowns, rotation_matrices
 
 FloatArray = NDArray[np.float64]
 
-DEPTHS_M = (0.35, 0.5, 0.7, 1.0)
+DEPTHS_M = (0.4, 0.5, 0.7, 1.0)  # those of the bench guide
 ASIDE = (-0.3, 0.0, 0.3)  # of the depth
 TILT_RAD = np.radians(30.0)
 TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
@@ -38,7 +38,7 @@ class Suggestion:
     Parameters
     ----------
     centre_m : (3,) array
-        Of the board's corners, camera frame.
+        Of the board's squares (the mean of its corners), camera frame.
     tilt_deg : (float, float)
         About the camera's x and y axes.
     worst_std_m : float
@@ -59,8 +59,8 @@ class Suggestion:
                  for angle, edges in zip(self.tilt_deg, NEARER_EDGES, strict=True) if angle]  # fmt: skip
         turned = f"tilted {' and '.join(tilts)}" if tilts else "facing the camera"
         return (
-            f"board centre at x {x:+.0f}, y {y:+.0f}, z {z:.0f} mm, {turned}: the worst microphone to "
-            f"{1e3 * self.worst_std_m:.3g} mm (now {1e3 * self.now_m:.3g} mm)"
+            f"centre of the squares at x {x:+.0f}, y {y:+.0f}, z {z:.0f} mm, {turned}: the worst microphone to "
+            f"{1e3 * self.worst_std_m:#.2g} mm (now {1e3 * self.now_m:#.2g} mm)"
         )
 
 
@@ -99,7 +99,7 @@ def suggest_poses(
 
 
 def _in_view(solution: JointSolution, size_px: tuple[int, int]) -> list[tuple[FloatArray, FloatArray, Unknowns]]:
-    """Return centres, tilts and poses of the candidates whose corners all lie in the picture."""
+    """Return centres, tilts and poses of the candidates whose corners and buzzers all lie in the picture."""
     corners = solution.problem.corners
     if corners is None:
         return []
@@ -110,7 +110,8 @@ def _in_view(solution: JointSolution, size_px: tuple[int, int]) -> list[tuple[Fl
         turn_rad = TILT_RAD * np.array([*tilt, 0.0])
         rotation = rotation_matrices(turn_rad[None])[0]
         place_m = centre_m - rotation @ board_m.mean(axis=0)
-        pixels, _, _ = project(board_m @ rotation.T + place_m, solution.at.camera)
+        shown_m = np.concatenate([board_m, solution.at.buzzers_m])
+        pixels, _, _ = project(shown_m @ rotation.T + place_m, solution.at.camera)
         margin_px = MARGIN * size_px[0]
         if (pixels > margin_px).all() and (pixels < np.array(size_px) - margin_px).all():
             pose = replace(solution.at, rotations=rotation[None], translations_m=place_m[None])

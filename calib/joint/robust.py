@@ -140,7 +140,7 @@ def _alike(first: Scales, second: Scales, tolerance: float) -> bool:
 def _not_settled(n_iterations: int) -> NotConvergedError:
     return NotConvergedError(
         f"the solve did not settle within {n_iterations} steps: the poses may be too much alike; capture more, tilted "
-        "and at several distances"
+        "and at several distances (with fewer than four microphones: leave fewer channels out)"
     )
 
 

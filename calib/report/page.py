@@ -31,6 +31,7 @@ from calib.report.words import (
 from calib.result import Calibration
 from calib.settings import Settings
 from rigs import __version__
+from rigs.description import RigDescription
 from rigs.session.info import summary
 from rigs.session.reader import Session
 
@@ -55,19 +56,20 @@ def report(sessions: list[Session], result: Calibration, settings: Settings, res
         Of the YAML file, for the command that makes it again.
     """
     description = sessions[0].description
+    recorded = f"{sessions[0].created_utc[:16].replace('T', ' ')} UTC"
     drawn = {name: as_file(draw, "svg") for name, draw in plots(result, description).items()}
     environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined)
     environment.policies["json.dumps_kwargs"] = {"sort_keys": False, "separators": (",", ":")}
-    text = environment.get_template(
-        "page.html.jinja"
-    ).render(
+    text = environment.get_template("page.html.jinja").render(
         result=result,
         description=description,
+        is_simulated=_is_simulated(description),
         description_text=sessions[0].description_text,
-        verdict=judge(result, description),
+        verdict=(verdict := judge(result, description)),
+        asked=[one for one in verdict.criteria if one.level != "good" and one.name != "Warnings"],
         classes=CLASSES,
         marks=MARKS,
-        figures=_figures(result),
+        figures=_figures(result, description),
         microphones=_microphones(result),
         std_format="%.3f" if result.std_m.max() < FINE_M else "%.2f",
         distances=_distances_mm(result),
@@ -90,34 +92,55 @@ def report(sessions: list[Session], result: Calibration, settings: Settings, res
         settings=settings_table(settings),
         sessions=_sessions(sessions, result),
         versions=versions_table(),
-        recorded=f"{sessions[0].created_utc[:16].replace('T', ' ')} UTC",
+        recorded=recorded,
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         software=f"acoustic-camera-rig {__version__}",
+        page_heads=Markup(_page_heads(result, verdict.level, recorded)),  # noqa: S704 - escaped there
         style=Markup((HERE / "page.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
         script=Markup((HERE / "turn.js").read_text(encoding="utf-8")),  # noqa: S704 - our own
     )
     return text.encode()
 
 
-def _figures(result: Calibration) -> list[tuple[str, str, str]]:
-    std_mm = 1e3 * float(np.sqrt(np.mean(np.sum(result.std_m**2, axis=1))))
+def _page_heads(result: Calibration, level: str, recorded: str) -> str:
+    """Return the style of what stands on every printed page; each sign of a name is written as its number."""
+    boxes = {
+        "top-left": f"Calibration of {result.session_name}",
+        "top-right": f"recorded {recorded}",
+        "bottom-left": f"Verdict: {level}",
+    }
+    contents = {box: "".join(f"\\{ord(sign):06x}" for sign in words) for box, words in boxes.items()}
+    return "".join(f'@page {{ @{box} {{ content: "{content}" }} }}\n' for box, content in contents.items())
+
+
+def _figures(result: Calibration, description: RigDescription) -> list[tuple[str, str, str]]:
     figures = [
         ("Microphones", str(len(result.channels)), f"from {len(result.view.pose)} board positions"),
-        ("Standard deviation of a microphone", two_digits(std_mm), "mm, root mean square"),
+        ("Least certain microphone", two_digits(1e3 * float(result.worst_std_m.max())), "mm, one standard deviation"),
         ("Scatter of the TDOAs", two_digits(1e6 * result.residual.robust_sigma_s), "µs"),
     ]
     if result.held_out is not None:
         figures.append(("The same, held-out poses", two_digits(1e6 * result.held_out.robust_sigma_s), "µs"))
     figures.append(("Corners of the board", two_digits(result.view.rms_px), "px rms"))
     if result.evaluation is not None:
-        figures.append(("Error against the truth", two_digits(1e3 * result.evaluation.rmse_m), "mm rms"))
+        figures.append(
+            (_error_name(description), two_digits(1e3 * result.evaluation.rmse_m), "mm rms, against the truth")
+        )
     return figures
 
 
-def _microphones(result: Calibration) -> list[tuple[int, list[tuple[float, float]], float, float]]:
+def _is_simulated(description: RigDescription) -> bool:
+    return "simulated" in (description.audio.driver, description.camera.driver, description.trigger.driver)
+
+
+def _error_name(description: RigDescription) -> str:
+    return "Error, as this is a simulation" if _is_simulated(description) else "Error"
+
+
+def _microphones(result: Calibration) -> list[tuple[int, list[tuple[float, float]], float]]:
     std_mm, worst_mm = 1e3 * result.std_m, 1e3 * result.worst_std_m
     return [
-        (channel, list(zip(1e3 * place_m, std, strict=True)), float(np.linalg.norm(std)), float(worst))
+        (channel, list(zip(1e3 * place_m, std, strict=True)), float(worst))
         for channel, place_m, std, worst in zip(result.channels, result.positions_m, std_mm, worst_mm, strict=True)
     ]
 
@@ -179,7 +202,12 @@ def _held_out_sentence(result: Calibration) -> str:
     if result.held_out is None:
         return ""
     floor_s = noise_floor_s(result)
-    beside = f" The noise in the recording alone gives {short(1e6 * floor_s, 3)} µs." if floor_s is not None else ""
+    beside = (
+        f" The noise in the recording alone gives some {two_digits(1e6 * floor_s)} µs, an estimate good to twenty per "
+        "cent: the fitted poses may lie a little below it."
+        if floor_s is not None
+        else ""
+    )
     held_out, fitted = result.held_out, result.residual
     return (
         "Each fifth of the poses was predicted from the others: they scatter by "

@@ -14,6 +14,7 @@ from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
 from calib.evidence import Evidence
+from calib.report.coverage import FIELDS
 from calib.report.geometry import SIGMAS_95, board_rims_m, exaggeration, frustum_m, spread
 from calib.report.residuals import Group, by_buzzer, by_channel, by_pose, corner_rms_by_pose, over_distance
 from calib.result import Calibration
@@ -108,6 +109,8 @@ def draw_array(result: Calibration, description: RigDescription) -> Figure:
         axes.set_ylabel(AXES[up])
         if up == 1:
             axes.invert_yaxis()
+    larger = f", drawn {factor} times as large as they are" if factor > 1 else ""
+    figure.supxlabel(f"Ellipses hold 95 % of the uncertainty{larger}", fontsize=8, color=MUTED)
     return figure
 
 
@@ -117,6 +120,10 @@ def draw_coverage(result: Calibration, evidence: Evidence) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 2.9), layout="constrained")
     seen, tilted = figure.subplots(1, 2, width_ratios=[1.55, 1])
     seen.add_patch(Rectangle((0, 0), width, height, fill=False, edgecolor=MUTED))
+    for line, n in enumerate(FIELDS):
+        between = np.linspace(0, (width, height)[line], n + 1)[1:-1]
+        draw, across = (seen.vlines, height) if line == 0 else (seen.hlines, width)
+        draw(between, 0, across, color=MUTED, linewidth=0.6, linestyle="--", alpha=0.6)
     corners_px = evidence.corners_px.reshape(-1, 2)
     corners_px = corners_px[np.isfinite(corners_px).all(axis=1)]
     seen.plot(*corners_px[spread(len(corners_px), MOST_POINTS)].T, ".", color=BOARD, markersize=1.6, alpha=0.6)
@@ -185,7 +192,7 @@ def draw_held_out(result: Calibration) -> Figure:
     rows = [("fitted poses", result.residual.robust_sigma_s, BOARD)]
     rows.append(("held-out poses", result.held_out.robust_sigma_s, SOUND))
     if (floor_s := noise_floor_s(result)) is not None:
-        rows.insert(0, ("noise floor", floor_s, MUTED))
+        rows.insert(0, ("noise floor, about", floor_s, MUTED))
     figure = Figure(figsize=(WIDTH_IN, 0.5 + 0.36 * len(rows)), layout="constrained")
     axes = figure.subplots()
     names, sigmas_s, colours = zip(*rows, strict=True)

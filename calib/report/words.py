@@ -30,8 +30,10 @@ class Meaning(NamedTuple):
 
 MEANINGS = (
     Meaning(
-        "Standard deviation of a microphone",
-        "How far the answer would scatter if the session were captured again with other noise, and with buzzers, "
+        "Least certain microphone, ±",
+        "One standard deviation. At the top of this page and in the criteria: of the least certain microphone, along "
+        "its weakest direction. In the table: of each, along x, y and z, and along its own weakest direction. How far "
+        "the answer would scatter if the session were captured again with other noise, and with buzzers, "
         "squares and air that differ as much as the rig description says they may.",
         "Errors that measurements share: an echo that always comes with the sound, a delay of a "
         "sound card's input. Those are not in it.",
@@ -49,8 +51,9 @@ MEANINGS = (
     ),
     Meaning(
         "Noise floor",
-        "The scatter that the noise in the recording alone gives: what a perfect model would leave.",
-        "What echoes add. It is an expectation from the noise before each sound, good to some ten per cent.",
+        "About the scatter that the noise in the recording alone gives.",
+        "What echoes add. It is estimated from the noise before each sound, good to some twenty per cent, and a fit "
+        "takes up a little noise: so fitted poses may lie below it.",
     ),
     Meaning(
         "Corners of the board",

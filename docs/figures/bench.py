@@ -16,14 +16,16 @@ from rigs.library import find_description
 
 FOLDER = Path(__file__).parent
 A3_MM = (420.0, 297.0)
+PRINT_ORIGIN_MM = (110.0, 86.0)  # of the first inner corner on the sheet
+PICTURE_PX, FOCAL_PX = (1280, 720), 920  # of the camera that drawings to scale are made for
 
 
 def main() -> None:
     """Draw everything."""
     board = find_description("bench8").description.board
-    for name, draw in {"board": draw_board, "scale": draw_scale}.items():
+    for name, draw in {"board": draw_board, "scale": draw_scale, "poses": draw_poses}.items():
         draw(board).save(FOLDER / f"bench-{name}.svg")
-    for name, picture in {"wiring": draw_wiring(), "room": draw_room(), "poses": draw_poses()}.items():
+    for name, picture in {"wiring": draw_wiring(), "room": draw_room()}.items():
         picture.save(FOLDER / f"bench-{name}.svg")
     draw_print(board).save(FOLDER / "board-a3.svg")
 
@@ -54,7 +56,7 @@ def measured_squares(board: Board) -> tuple[int, int]:
 def draw_print(board: Board) -> Drawing:
     """Return the board in its own size on A3, with crosses for the buzzers and a rule to check the print by."""
     sheet = Drawing(*A3_MM, "Board for printing at 100 %")
-    x, y = 110.0, 86.0
+    x, y = PRINT_ORIGIN_MM
     squares(sheet, board, x, y, 1.0)
     for number, right, down, _ in buzzers_mm(board):
         for dx, dy in ((4, 0), (0, 4)):
@@ -80,34 +82,33 @@ def draw_print(board: Board) -> Drawing:
 
 
 def draw_board(board: Board) -> Drawing:
-    """Return the board with its frame, its buzzers and their measures, and a buzzer from the side."""
-    sheet, scale = Drawing(190, 150, "The board: frame, corners and buzzers"), 0.36
-    x, y = 50.0, 34.0
-    sheet.rect(x - 28, y - 24, 128, 96, fill="#f8fafc")
+    """Return the plate with the print and all buzzers, with their measures, and a buzzer from the side."""
+    sheet, scale = Drawing(190, 172, "The board: plate, corners and buzzers"), 0.36
+    left, top = 14.0, 20.0
+    x, y = left + PRINT_ORIGIN_MM[0] * scale, top + PRINT_ORIGIN_MM[1] * scale
+    width, height = (side * scale for side in A3_MM)
+    sheet.rect(left, top, width, height, fill="#f8fafc")
+    sheet.size(left, top - 4, left + width, top - 4, f"plate = the printed A3 sheet, uncut: {A3_MM[0]:g} mm")
+    sheet.size(left + width + 4, top, left + width + 4, top + height, f"{A3_MM[1]:g} mm")
     squares(sheet, board, x, y, scale)
-    places = {number: (scale * right, scale * down) for number, right, down, _ in buzzers_mm(board)}
-    for number, (right, down) in places.items():
-        sheet.circle(x + right, y + down, 3.2, fill="#ffffff", ink=SOUND, line=0.8)
-        sheet.text(x + right, y + down + 1.4, str(number), 4, SOUND, "middle", bold=True)
+    for number, right, down, _ in buzzers_mm(board):
+        at = (x + scale * right, y + scale * down)
+        sheet.circle(*at, 3.2, fill="#ffffff", ink=SOUND, line=0.8)
+        sheet.text(at[0], at[1] + 1.4, str(number), 4, SOUND, "middle", bold=True)
+        sheet.text(at[0], at[1] + (8 if down > 0 else -5), f"x {right:+g}, y {down:+g}", 3.6, SOUND, "middle")
     sheet.circle(x, y, 1.6, ink=GREEN, line=0.8)
     for name, (right, down) in {"x": (27, 0), "y": (0, 27)}.items():
         sheet.arrow(x, y, x + right, y + down, GREEN, 0.8)
         sheet.circle(x + 1.16 * right, y + 1.16 * down, 3, fill="#ffffff", ink="none", line=0)
         sheet.text(x + 1.16 * right, y + 1.16 * down + 1.4, name, 5, GREEN, "middle", bold=True)
-    far, low = places[3][0], places[6][1]
-    sheet.size(x, y - 27, x + far, y - 27, f"buzzer 3: x = {far / scale:g} mm")
-    sheet.line(x, y - 29, x, y - 1.6, GRAY, 0.2, "1 1")
-    sheet.line(x + far, y - 29, x + far, y - 20, GRAY, 0.2, "1 1")
-    sheet.size(x + 104, y, x + 104, y + low, "buzzer 6:")
-    sheet.text(x + 105.8, y + low / 2 + 6, f"y = {low / scale:g} mm", 3.6, GRAY)
-    sheet.text(22, 113, "Origin: the first inner corner, beside the dark corner square of the print.", 4, GREEN)
-    draw_depth(sheet, 22, 128, board)
+    sheet.text(left, 135, "Origin: the first inner corner, beside the dark corner square. Millimetres.", 4, GREEN)
+    draw_depth(sheet, left, 150, board)
     return sheet
 
 
 def draw_depth(sheet: Drawing, x: float, y: float, board: Board) -> None:
     """Draw a buzzer on the plate from the side, much enlarged: where its z is measured."""
-    z_mm = buzzers_mm(board)[0][3]
+    (z_mm,) = {depth for *_, depth in buzzers_mm(board)}  # all alike: no spacers
     plate, hole = y + 8, y
     sheet.text(x, y - 7, "From the side, enlarged:", 4, GREEN)
     sheet.rect(x, plate, 74, 5, fill=PALE)
@@ -118,10 +119,10 @@ def draw_depth(sheet: Drawing, x: float, y: float, board: Board) -> None:
     sheet.line(x + 40, hole, x + 66, hole, GRAY, 0.2, "1 1")
     sheet.line(x + 62, plate, x + 62, hole + 2, GRAY, 0.3)
     sheet.arrow(x + 62, plate, x + 62, hole, GRAY, 0.3)
-    sheet.text(x + 64, y + 5.5, f"z = {z_mm:g} mm", 3.6, GRAY)
-    sheet.arrow(x + 92, y - 2, x + 92, y + 13, GREEN, 0.8)
-    sheet.text(x + 95, y + 12.5, "z, away from the camera", 4, GREEN)
-    sheet.text(x + 95, y + 1, "0 at the print, so z < 0 before it", 3.4, GRAY)
+    sheet.text(x + 64, y + 5.5, f"z = {z_mm:g} mm, all six", 3.6, GRAY)
+    sheet.arrow(x + 100, y - 2, x + 100, y + 13, GREEN, 0.8)
+    sheet.text(x + 103, y + 12.5, "z, away from the camera", 4, GREEN)
+    sheet.text(x + 103, y + 1, "0 at the print, so z < 0 before it", 3.4, GRAY)
 
 
 def draw_scale(board: Board) -> Drawing:
@@ -132,17 +133,22 @@ def draw_scale(board: Board) -> Drawing:
     side, size_mm = 1e3 * board.square_size_m * scale, 1e3 * board.square_size_m
     row, column = measured_squares(board)
     left, top, right, bottom = x - side, y - side, x + (row - 1) * side, y + (column - 1) * side
+    for column_left in (left, right - side):
+        sheet.rect(column_left, top, side, bottom - top, ink=SOUND, line=0.7)
     for edge in (left, right):
         sheet.line(edge, top - 8, edge, bottom + 8, SOUND, 0.4, "2 1")
     for edge in (top, bottom):
         sheet.line(left - 8, edge, right + side + 10, edge, SOUND, 0.4, "2 1")
     sheet.size(left, top - 5, right, top - 5, f"{row} squares: {row * size_mm:g} mm wanted", SOUND)
     sheet.size(left, bottom + 6, right, bottom + 6, "", SOUND)
-    sheet.size(left - 5, top, left - 5, bottom, "", SOUND)
-    aside = right + side + 7
-    sheet.size(aside, top, aside, bottom, f"{column} squares:", SOUND)
-    sheet.text(aside + 1.8, (top + bottom) / 2 + 6, f"{column * size_mm:g} mm wanted", 3.6, SOUND)
-    sheet.text(left, bottom + 14, "From dark edge to dark edge, at both ends of the board, both ways.", 3.8, GRAY)
+    for middle in (left + side / 2, right - side / 2):
+        sheet.size(middle, top, middle, bottom, "", SOUND)
+    aside = right + side + 3
+    sheet.text(aside, (top + bottom) / 2 - 5, f"down columns 1 and {row}:", 3.6, SOUND)
+    sheet.text(aside, (top + bottom) / 2, f"{column} squares,", 3.6, SOUND)
+    sheet.text(aside, (top + bottom) / 2 + 5, f"{column * size_mm:g} mm wanted", 3.6, SOUND)
+    words = f"From dark edge to dark edge: along rows 1 and {column}, down columns 1 and {row}."
+    sheet.text(left, bottom + 14, words, 3.8, GRAY)
     long_mm, short_mm = row * (size_mm + 0.1), column * (size_mm + 0.1)
     mean_m = (long_mm / row + short_mm / column) / 2e3
     sheet.text(left, bottom + 22, f"You read {long_mm:.1f} mm and {short_mm:.1f} mm, say. Then write:", 3.8, GRAY)
@@ -157,7 +163,7 @@ def draw_scale(board: Board) -> Drawing:
 
 def draw_wiring() -> Drawing:
     """Return the wiring of Arduino, buzzers, microphones and computer."""
-    sheet = Drawing(190, 112, "Wiring")
+    sheet = Drawing(190, 142, "Wiring")
     sheet.rect(66, 12, 42, 74, fill="#f8fafc", line=0.6)
     sheet.text(93, 45, "Arduino", 4.4, INK, "middle", bold=True)
     sheet.text(93, 50.5, "Uno, Nano", 3.4, GRAY, "middle")
@@ -176,26 +182,78 @@ def draw_wiring() -> Drawing:
     sheet.text(68, 79.3, "GND", 3.4, GRAY)
     sheet.text(45.5, 14, "100 to 220 ohm each", 3.4, GRAY, "middle")
     sheet.text(14, 84.5, "six passive piezo buzzers", 3.8, SOUND)
-    box(sheet, 140, 12, 38, 24, "computer", "rig-capture")
-    box(sheet, 140, 50, 38, 28, "sound device", "one clock, 8 inputs")
-    box(sheet, 140, 88, 38, 18, "camera", "focus locked")
-    sheet.line(108, 24, 140, 24, BLUE, 0.7)
-    sheet.text(124, 21.5, "USB", 3.6, BLUE, "middle")
-    sheet.line(159, 36, 159, 50, BLUE, 0.7)
-    sheet.text(161, 44.3, "USB", 3.6, BLUE)
-    sheet.line(178, 97, 184, 97, BLUE, 0.7)
-    sheet.line(184, 97, 184, 24, BLUE, 0.7)
-    sheet.line(184, 24, 178, 24, BLUE, 0.7)
+    draw_led(sheet, 108, 34)
+    box(sheet, 148, 6, 36, 18, "computer", "rig-capture")
+    box(sheet, 148, 92, 36, 44, "sound device", "one clock")
+    sheet.text(166, 123.5, "8 line or micro-", 3.2, GRAY, "middle")
+    sheet.text(166, 127.5, "phone inputs, and", 3.2, GRAY, "middle")
+    sheet.text(166, 131.5, "a 9th for sync", 3.2, GRAY, "middle")
+    box(sheet, 148, 34, 28, 14, "camera", "focus locked")
+    sheet.line(108, 17, 148, 17, BLUE, 0.7)
+    sheet.text(128, 14.5, "USB", 3.6, BLUE, "middle")
+    sheet.line(162, 24, 162, 34, BLUE, 0.7)
+    sheet.text(164, 30.3, "USB", 3.6, BLUE)
+    sheet.line(181, 24, 181, 92, BLUE, 0.7)
+    sheet.text(179.5, 60, "USB", 3.6, BLUE, "end")
+    draw_divider(sheet, 108, 66, 148, 96)
     for number in range(8):
-        level = 52 + 2.9 * number
-        sheet.line(128, level, 140, level, GREEN, 0.4)
-        sheet.circle(126.6, level, 1.2, fill="#ffffff", ink=GREEN)
-    sheet.text(138, 47, "8 microphones", 3.8, GREEN, "end")
-    sheet.text(106, 77.3, "pin 8", 3.4, GRAY, "end")
-    sheet.line(108, 76, 140, 76, GRAY, 0.4, "1.5 1")
-    sheet.text(110, 82, "sync output,", 3.4, GRAY)
-    sheet.text(110, 86.2, "may be left out", 3.4, GRAY)
+        level = 104 + 4 * number
+        sheet.line(126, level, 148, level, GREEN, 0.4)
+        sheet.circle(124.6, level, 1.4, fill="#ffffff", ink=GREEN)
+        sheet.text(146.5, level - 0.6, str(number + 1), 2.8, GREEN, "end")
+    sheet.text(120, 119.3, "8 microphones", 3.8, GREEN, "end")
+    sheet.text(14, 98, "Never join pin 8 to an input directly: it has 5 V.", 3.8, SOUND)
+    sheet.text(14, 104, "With both resistors the input gets 0.45 V (line).", 3.6, GRAY)
+    sheet.text(14, 109.5, "A microphone input: 100 kilohm in place of 10.", 3.6, GRAY)
     return sheet
+
+
+def draw_led(sheet: Drawing, x: float, y: float) -> None:
+    """Draw the LED with its resistor, from the Arduino's edge at x."""
+    sheet.text(x - 2, y + 1.3, "pin 13", 3.4, GRAY, "end")
+    sheet.line(x, y, x + 5, y)
+    sheet.rect(x + 5, y - 1.6, 9, 3.2, fill="#ffffff")
+    sheet.text(x + 9.5, y - 3, "470 ohm", 3.2, GRAY, "middle")
+    sheet.line(x + 14, y, x + 19, y)
+    sheet.polygon([(x + 19, y - 2.2), (x + 19, y + 2.2), (x + 23, y)], fill="#ffffff")
+    sheet.line(x + 23, y - 2.2, x + 23, y + 2.2)
+    sheet.text(x + 21, y - 3.6, "LED", 3.2, GRAY, "middle")
+    sheet.line(x + 23, y, x + 28, y)
+    ground(sheet, x + 28, y)
+    sheet.text(x + 3, y + 7.5, "in the camera's view;", 3.2, GRAY)
+    sheet.text(x + 3, y + 11.5, "may be left out", 3.2, GRAY)
+
+
+def draw_divider(sheet: Drawing, x: float, y: float, input_x: float, input_y: float) -> None:
+    """Draw the divider that makes 0.45 V of pin 8's 5 V, from the Arduino's edge to the sound device's ninth input."""
+    sheet.text(x - 2, y + 1.3, "pin 8", 3.4, GRAY, "end")
+    sheet.line(x, y, x + 5, y)
+    sheet.rect(x + 5, y - 1.6, 9, 3.2, fill="#ffffff")
+    sheet.text(x + 9.5, y - 3, "10 kilohm", 3.2, GRAY, "middle")
+    node = x + 24
+    sheet.line(x + 14, y, node, y)
+    sheet.circle(node, y, 0.8, fill=INK)
+    sheet.line(node, y, node, y + 5)
+    sheet.rect(node - 1.6, y + 5, 3.2, 9, fill="#ffffff")
+    sheet.text(node - 3, y + 10.6, "1 kilohm", 3.2, GRAY, "end")
+    sheet.line(node, y + 14, node, y + 18)
+    ground(sheet, node, y + 18)
+    sheet.text(node - 3, y + 18, "GND and", 3.2, GRAY, "end")
+    sheet.text(node - 3, y + 22, "line (-)", 3.2, GRAY, "end")
+    sheet.line(node, y, input_x - 6, y)
+    sheet.line(input_x - 6, y, input_x - 6, input_y)
+    sheet.line(input_x - 6, input_y, input_x, input_y)
+    sheet.text(input_x - 0.8, input_y - 1.6, "9", 2.8, GRAY, "end")
+    sheet.text(input_x - 4, y + 1, "sync output:", 3.2, GRAY)
+    sheet.text(input_x - 4, y + 5, "line (+);", 3.2, GRAY)
+    sheet.text(input_x - 4, y + 9, "may be left out", 3.2, GRAY)
+
+
+def ground(sheet: Drawing, x: float, y: float) -> None:
+    """Draw the sign for GND below (x, y)."""
+    sheet.line(x, y, x, y + 2)
+    for row, half in enumerate((2.2, 1.4, 0.6)):
+        sheet.line(x - half, y + 2 + 0.9 * row, x + half, y + 2 + 0.9 * row)
 
 
 def box(sheet: Drawing, x: float, y: float, width: float, height: float, name: str, below: str) -> None:
@@ -244,21 +302,38 @@ def draw_room() -> Drawing:
     return sheet
 
 
-def draw_poses() -> Drawing:
+def print_mm(board: Board) -> tuple[float, float]:
+    """Return width and height of all squares."""
+    across, down = (1e3 * board.square_size_m * (corners + 1) for corners in board.corners)
+    return across, down
+
+
+def shown_share(length_m: float, distance_m: float) -> float:
+    """Return which share of the picture's width a length has at a distance."""
+    return length_m * FOCAL_PX / (PICTURE_PX[0] * distance_m)
+
+
+def draw_poses(board: Board) -> Drawing:
     """Return which poses make a good session: over the picture, near and far, tilted four ways."""
     sheet = Drawing(190, 122, "Poses of a good session")
     sheet.text(12, 10, "All over the picture", 4.4, bold=True)
     sheet.rect(12, 14, 80, 45, fill="#f8fafc", line=0.8)
-    for column, left in enumerate((15, 41, 67)):
-        for row, top in enumerate((16.5, 30, 43.5)):
-            sheet.rect(left + 1.5, top + 1.5, 16, 10, fill="#ffffff", turn_deg=(column - 1) * 8 - (row - 1) * 6)
-            sheet.text(left + 9.5, top + 8, str(3 * row + column + 1), 4, SOUND, "middle")
+    across, down = (80 * shown_share(1e-3 * side_mm, 0.7) for side_mm in print_mm(board))
+    for row, column in np.ndindex(3, 3):
+        left, top = 12.8 + column * (78.4 - across) / 2, 14.6 + row * (43.8 - down) / 2
+        sheet.rect(left, top, across, down, fill="#ffffff")
+        sheet.text(left + across / 2, top + down / 2 + 1.4, str(3 * row + column + 1), 4, SOUND, "middle")
+    sheet.text(12, 63.5, "the squares of the board at 0.7 m, to scale", 3.6, GRAY)
     sheet.text(104, 10, "Near, middle, far", 4.4, bold=True)
-    for left, distance_m in ((104, 0.4), (143, 0.7), (168, 1.0)):
-        size = 34 * 0.4 / distance_m
-        sheet.rect(left, 36 - size * 0.36, size, size * 0.72, fill="#ffffff")
-        sheet.rect(left + size * 0.15, 36 - size * 0.2, size * 0.7, size * 0.42, fill=PALE, ink="none", line=0)
-        sheet.text(left + size / 2, 56, f"{distance_m:g} m", 3.8, GRAY, "middle")
+    for left, distance_m in ((104, 0.4), (133, 0.7), (162, 1.0)):
+        sheet.rect(left, 20, 26, 26 * 9 / 16, fill="#f8fafc", line=0.6)
+        for sides_mm, fill in ((A3_MM, "#ffffff"), (print_mm(board), PALE)):
+            width, height = (26 * shown_share(1e-3 * side_mm, distance_m) for side_mm in sides_mm)
+            ink = "none" if fill == PALE else INK
+            sheet.rect(left + 13 - width / 2, 20 + 13 * 9 / 16 - height / 2, width, height, fill=fill, ink=ink)
+        sheet.text(left + 13, 40, f"{distance_m:g} m", 3.8, GRAY, "middle")
+    sheet.text(104, 47, "picture, plate and squares, to scale", 3.6, GRAY)
+    sheet.text(104, 52, f"({PICTURE_PX[0]} x {PICTURE_PX[1]}, focal length {FOCAL_PX} px)", 3.6, GRAY)
     sheet.text(12, 72, "Tilted by 20 to 35 degrees, about both axes and both ways", 4.4, bold=True)
     shapes = {
         "left edge nearer": [(0, 0), (34, 5), (34, 25), (0, 30)],
