@@ -86,7 +86,7 @@ def test_all_quick(rig_study, tmp_path):
     if published:
         assert "| *the paper prints* | | *24.44* |" in report
         assert "26.06" in report
-        assert report.count("those of the authors' ruler") == 4
+        assert report.count("those of the authors' ruler") == out.count("those of the authors' ruler") == 4
         assert "Not drawn, since it would hide the others: Legg, authors' search" in report
     else:
         for text in (out, report):

@@ -100,3 +100,14 @@ def test_wrong_usage_is_told(fleet_of_three, rig_calibrate, tmp_path):
     assert exit_code == 2
     assert "is no table of --each" in err
     assert not list(tmp_path.glob("*.calib.yaml"))
+
+
+def test_ctrl_c_keeps_what_was_finished_and_says_so(tmp_path, rig_calibrate, monkeypatch):
+    def interrupted(*_given: object):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fleet, "calibrate_file", interrupted)
+    (tmp_path / "s0.h5").write_bytes(b"")
+    exit_code, _, err = rig_calibrate("--each", tmp_path / "s0.h5")
+    told = "rig-calibrate: interrupted: run the same command again to go on; finished results are kept\n"
+    assert (exit_code, err) == (130, told)

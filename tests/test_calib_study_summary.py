@@ -54,6 +54,7 @@ def test_only_all_are_100_percent():
 
 def test_a_cell_tells_its_error_and_whom_it_leaves_out():
     assert _cell(SUMMARY, "rmse_m") == "12.24 ± 0.41"
+    assert _cell(SUMMARY, "rmse_m", errors=False) == "12.24"
     some = replace(SUMMARY, n_settled=69, convergence_rate=0.69)
     assert (_cell(some, "rmse_m"), _cell(some, "paper_rmse_m")) == ("12.24 ± 0.41 (69/100)", "11 (69/100)")
     assert _cell(replace(SUMMARY, rmse_m=6e-15, rmse_std_error_m=1e-15), "rmse_m") == "0"

@@ -86,14 +86,11 @@ def command(
 
 def _own_study(what: str, output: Path, quick: bool, published: Published, workers: Workers, console: Console) -> None:
     from calib.study.library import find_study, shipped_studies
-    from calib.study.pages import remarks
     from calib.study.paper import STUDY_OF, finish
     from calib.study.run import run_study
 
     study = find_study(what, also=(*ITEMS, "all"))
     finished = run_study(study, output / study.name, published, workers, console, quick=quick)
-    for remark in remarks(finished):
-        console.print(f"! {remark}", soft_wrap=True)
     finish(finished, console, STUDY_OF[what.partition("-")[0]] if what in shipped_studies() else None)
 
 

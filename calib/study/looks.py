@@ -20,7 +20,7 @@ LOOKS = {
     "ours-3": ("#E69F00", "^"),
     "search": ("#D55E00", "v"),
     "legg-2013": ("#CC79A7", "D"),
-    "joint": ("#000000", "P"),
+    "joint": ("#000000", "P"),  # drawn small, since it often lies on ours-2
 }
 STYLE: Any = {
     "font.size": 9,
@@ -92,7 +92,9 @@ def panels_of(lines: Sequence[Line], *, dashes: bool = True) -> list[Panel]:
     if len(methods) == len(lines):
         return [Panel("", [(line, line.name, _look(line.method)) for line in lines])]
     if len(methods) == 1 and len(lines) <= len(COLOURS):
-        looks = [{"color": colour, "marker": sign, "ls": "-"} for colour, sign in zip(COLOURS, SIGNS, strict=True)]
+        looks = [
+            {"color": colour, "marker": sign, "ls": "-", "ms": 4.5} for colour, sign in zip(COLOURS, SIGNS, strict=True)
+        ]
         return [Panel("", [(line, line.name, looks[rests.index(line.rest)]) for line in lines])]
     if dashes and len(rests) <= MOST_DASHES and len(lines) <= 2 * MOST_DASHES:
         return [Panel("", [(line, line.name, _look(line.method) | _dash(rests.index(line.rest))) for line in lines])]
@@ -128,7 +130,7 @@ def title_of(finished: FinishedStudy) -> str:
 
 def _look(method: MethodName) -> Look:
     colour, sign = LOOKS[method]
-    return {"color": colour, "marker": sign, "ls": "-"}
+    return {"color": colour, "marker": sign, "ls": "-", "ms": 3 if method == "joint" else 5}
 
 
 def _dash(number: int) -> Look:

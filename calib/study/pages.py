@@ -18,7 +18,7 @@ from calib.study.summary import CaseSummary
 FIGURES = {
     "paper_rmse_m": "The paper's error figure, mm: RMS over the repetitions that converged, squared errors of "
     "microphones 1 to 7 summed and divided by 8",
-    "rmse_m": "RMS error, mm, ± its standard error: of all microphones, over the repetitions that converged",
+    "rmse_m": "RMS error, mm: of all microphones, over the repetitions that converged",
     "bound_m": "Cramer-Rao bound of the RMS error, mm: of all microphones, for Gaussian noise of the same variance, "
     "without outliers",
     "median_m": "Median error, mm: of all repetitions' RMS errors, those that did not converge taken as infinite",
@@ -30,6 +30,7 @@ RATES = ("convergence_rate", "optimum_rate")
 IN_TERMINAL = ("paper_rmse_m", "rmse_m", "bound_m", "median_m", *RATES)
 OF_CONVERGED = ("paper_rmse_m", "rmse_m")
 LEFT_OUT = "In brackets: how many of the repetitions converged, where not all did; the figure is of these alone."
+AFTER_SIGN = "After ±: the standard error of the figure, from the spread of the repetitions."
 MOST_COLUMNS = 6  # of a table, in the terminal
 NEVER_MM, NOTHING_MM = 1e5, 1e-6  # more says only that some repetition ran away; less is rounding
 STAND_IN = (
@@ -67,7 +68,7 @@ def terminal_page(finished: FinishedStudy, item: str | None = None) -> str:
     chosen = columns
     if len(columns) > MOST_COLUMNS:
         chosen = [columns[index] for index in np.linspace(0, len(columns) - 1, MOST_COLUMNS).round().astype(int)]
-    lines = _tables(finished, item, IN_TERMINAL, chosen)
+    lines = _tables(finished, item, IN_TERMINAL, chosen, errors=False)
     if chosen != columns:
         lines += [f"Columns shown: {len(chosen)} of {len(columns)}; page.md has all of them.", ""]
     return "\n".join(lines)
@@ -162,33 +163,37 @@ def _columns(finished: FinishedStudy, labels: Labels) -> list[str]:
     return list(dict.fromkeys(labels.column(each.case) for each in finished.summaries))
 
 
-def _tables(finished: FinishedStudy, item: str | None, figures: tuple[str, ...], columns: list[str]) -> list[str]:
+def _tables(
+    finished: FinishedStudy, item: str | None, figures: tuple[str, ...], columns: list[str], *, errors: bool = True
+) -> list[str]:
     lines = []
     for name in figures:
-        rows = {} if name == "paper_rmse_m" and item is None else _pivot(finished.summaries, name)
+        rows = {} if name == "paper_rmse_m" and item is None else _pivot(finished.summaries, name, errors=errors)
         if rows and all(cell == "100 %" for cells in rows.values() for cell in cells.values()):
             lines += [f"**{FIGURES[name]}**: 100 % throughout.", ""]
         elif rows:
             shown = printed(item) if name == "paper_rmse_m" and item else {}
             lines += [f"**{FIGURES[name]}**", "", *_markdown(rows, shown, columns), ""]
+            if name == "rmse_m" and any(" ± " in cell for cells in rows.values() for cell in cells.values()):
+                lines += [AFTER_SIGN, ""]
             if name in OF_CONVERGED and any(each.n_settled < each.n for each in finished.summaries):
                 lines += [LEFT_OUT, ""]
     return lines
 
 
-def _pivot(summaries: list[CaseSummary], figure: str) -> dict[Row, dict[str, str]]:
+def _pivot(summaries: list[CaseSummary], figure: str, *, errors: bool) -> dict[Row, dict[str, str]]:
     """Return cells by row and column; empty where the study has no such figure."""
     labels, rows = Labels.of(each.case for each in summaries), dict[Row, dict[str, str]]()
     for summary in summaries:
-        cell = _cell(summary, figure)
+        cell = _cell(summary, figure, errors=errors)
         if cell:
             cells = rows.setdefault((labels.row(summary.case), summary.case.method, summary.n), {})
             cells[labels.column(summary.case)] = cell
     return rows
 
 
-def _cell(summary: CaseSummary, figure: str) -> str:
-    """Return a figure as it stands in a table; an empty word where there is none."""
+def _cell(summary: CaseSummary, figure: str, *, errors: bool = True) -> str:
+    """Return a figure as it stands in a table; an empty word where there is none; `errors`: with its own."""
     value = getattr(summary, figure)
     if figure in RATES:
         return "" if np.isnan(value) else share_words(round(value * summary.n), summary.n)
@@ -199,7 +204,7 @@ def _cell(summary: CaseSummary, figure: str) -> str:
     if np.isnan(value):
         return ""
     error_mm = 1e3 * summary.rmse_std_error_m
-    error = f" ± {error_mm:.2g}" if figure == "rmse_m" and error_mm > NOTHING_MM else ""
+    error = f" ± {error_mm:.2g}" if errors and figure == "rmse_m" and error_mm > NOTHING_MM else ""
     used = f" ({summary.n_settled}/{summary.n})" if summary.n_settled < summary.n else ""
     return _millimetres(value) + error + used
 

@@ -13,7 +13,7 @@ import rigs
 from calib.study.errors import StudyError
 from calib.study.folder import make_folder, write_whole
 from calib.study.library import find_study
-from calib.study.pages import QUICK, STAND_IN, printed_beside_ours, study_page, terminal_page
+from calib.study.pages import QUICK, STAND_IN, printed_beside_ours, remarks, study_page, terminal_page
 from calib.study.parameters import parameters_page
 from calib.study.plots import draw_study
 from calib.study.published import Published
@@ -69,7 +69,7 @@ def make_items(
             if name in done:
                 continue
             done[name] = run_study(find_study(name), output / name, published, workers, console, quick=quick)
-            pages.append(finish(done[name], console, STUDY_OF[item]))
+            pages.append(finish(done[name], console, STUDY_OF[item], told=notes))
     short = printed_beside_ours([(name, STUDY_OF[name.partition("-")[0]], each) for name, each in done.items()])
     pages.insert(0, "\n".join([_head(TITLES["all" if all_of_them else items[0]], notes), *short]))
     page = output / ("report.md" if all_of_them else f"{items[0]}.md")
@@ -79,13 +79,16 @@ def make_items(
     console.print(f"[bold]Written:[/bold] {escape(str(page))}", soft_wrap=True)
 
 
-def finish(finished: FinishedStudy, console: Console, item: str | None = None) -> str:
-    """Write and print the page of a study, and draw its figures; return the page."""
+def finish(finished: FinishedStudy, console: Console, item: str | None = None, *, told: Sequence[str] = ()) -> str:
+    """Write and print the page of a study, and draw its figures; return the page. `told`: remarks printed already."""
     page, folder = study_page(finished, item), finished.folder.path.name
     title = finished.folder.study.title or finished.folder.study.name
     for path, caption in draw_study(finished, item):
         page += f"\n![{title}: {path.stem}]({folder}/{path.name})\n\n*{caption}*\n"
     finished.folder.write_text("page.md", page.replace(f"]({folder}/", "]("))
+    for remark in remarks(finished):
+        if remark not in told:
+            console.print(f"! {remark}", soft_wrap=True, markup=False)
     console.print(Markdown(f"# {title}\n\n{terminal_page(finished, item)}"))
     console.print(f"[bold]Written:[/bold] {escape(str(finished.folder.path))}", soft_wrap=True)
     return page

@@ -146,12 +146,12 @@ def _canvas(panels: list[Panel]) -> tuple[Figure, list[Any]]:
 def _draw_errors(axes: Any, x: Sequence[float], cases: list[CaseSummary], shown: str, label: str, look: Look) -> None:
     """Draw a line; signs are open where too few repetitions converged, bars stand where an error is known."""
     values_mm = [1e3 * value if np.isfinite(value := getattr(each, shown)) else np.nan for each in cases]
-    axes.plot(x, values_mm, label=label, lw=1.2, ms=4.5, **look)
+    axes.plot(x, values_mm, label=label, lw=1.2, **look)
     if shown == "median_m":
         return
     few = [(place, value) for place, value, each in zip(x, values_mm, cases, strict=True) if _is_open(each)]
     if few:
-        sign = {"mfc": "white", "mec": look["color"], "marker": look["marker"], "ms": 4.5}
+        sign = {"mfc": "white", "mec": look["color"], "marker": look["marker"], "ms": look["ms"]}
         axes.plot(*zip(*few, strict=True), lw=0, zorder=5, **sign)
     if shown == "rmse_m":
         bars_mm = [1e3 * each.rmse_std_error_m for each in cases]
