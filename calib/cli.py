@@ -102,7 +102,8 @@ def command(**asked: Any) -> int:
 
     Several sessions of one rig are solved together. Writes SESSION.calib.yaml and SESSION.report.html beside the
     (first) session, of several SESSION+SESSION.calib.yaml; sessions themselves are never changed. Exit codes: 0 good,
-    2 usage, 5 data missing, damaged or not good enough, or two results that differ (--compare), 130 interrupted.
+    2 usage, 3 the scheduler of --cluster is not there or lost, 5 data missing, damaged or not good enough, or two
+    results that differ (--compare), 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
 

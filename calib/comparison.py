@@ -9,6 +9,7 @@ or the array was moved) or a shift of a microphone (3 each).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ N_ITERATIONS = 20
 AT_REST = 1e-12
 LARGE = 300.0
 RIGID_UNKNOWNS = 6
+SAME_PLACE = 0.1  # of the distance between two microphones: as near, one stands where the other did
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,32 @@ def compare(first: StoredCalibration, second: StoredCalibration) -> Comparison:
     unmoved = fit(first, second)
     best = _explained(first, second, unmoved)
     return Comparison(first, second, unmoved, fit(first, second, rigid=True, moved=best.moved), best)
+
+
+def swapped_rows(comparison: Comparison) -> list[tuple[int, int]]:
+    """Return microphones that stand where another of them stood, and that one where they did: their plugs changed."""
+    best, before_m = comparison.best, comparison.first.positions_m
+    pairs = []
+    for first, second in combinations(sorted(best.moved), 2):
+        apart_m = before_m[second] - before_m[first]
+        misses_m = best.own_shift_m(first) - apart_m, best.own_shift_m(second) + apart_m
+        if max(np.linalg.norm(miss_m) for miss_m in misses_m) < SAME_PLACE * np.linalg.norm(apart_m):
+            pairs.append((first, second))
+    return pairs
+
+
+def contradiction_of(comparison: Comparison) -> str:
+    """Say what speaks for results of two different rigs; empty where a few motions explain how they differ."""
+    channels, best = comparison.first.channels, comparison.best
+    exchanged = {row for pair in swapped_rows(comparison) for row in pair}
+    moved = [channels[row] for row in best.moved if row not in exchanged]
+    if len(moved) < len(channels) / 2 and comparison.is_explained:
+        return ""
+    first_px, now_px = (np.mean(each.intrinsics.focal_px) for each in (comparison.first, comparison.second))
+    shift_mm = 1e3 * np.linalg.norm(comparison.unmoved.shifts_m, axis=1)
+    by_length = sorted(zip(shift_mm, channels, strict=True), reverse=True)
+    shifts = ", ".join(f"{channel} by {length_mm:.1f}" for length_mm, channel in by_length)
+    return f"microphone {shifts} mm; the focal length {first_px:.1f} px there, {now_px:.1f} px here"
 
 
 def _check_weights(first: StoredCalibration, second: StoredCalibration) -> None:

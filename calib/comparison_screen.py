@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from calib.comparison import FALSE_ALARM, ChiSquare, Comparison, Fit
+from calib.comparison import FALSE_ALARM, ChiSquare, Comparison, Fit, contradiction_of, swapped_rows
 
 LEAST_CHANCE = 1e-9
 
@@ -31,24 +31,30 @@ def verdict(comparison: Comparison) -> str:
     """Say in one line whether the results differ, and what moved."""
     if not comparison.differ:
         return "the results agree within their uncertainties"
-    best, channels = comparison.best, comparison.first.channels
-    found = []
+    if contradiction := contradiction_of(comparison):
+        return (
+            "the results differ: they look like those of two different rigs, or most microphones have moved by "
+            f"themselves: {contradiction}"
+        )
+    best, channels, swapped = comparison.best, comparison.first.channels, swapped_rows(comparison)
+    found = [
+        f"channels {channels[first]} and {channels[second]} look swapped: check the plugs" for first, second in swapped
+    ]
     if best.motion is not None:
         how_far = f"{1e3 * best.distance_m:.1f} mm, {best.angle_deg:.2f} degrees"
         found.append(f"the array as a whole moved against the camera by {how_far}")
     found += [
         f"the microphone of channel {channels[row]} moved by {1e3 * np.linalg.norm(best.own_shift_m(row)):.1f} mm"
         for row in best.moved
+        if row not in {row for pair in swapped for row in pair}
     ]
-    if not comparison.is_explained:
-        found.append(f"{'the rest' if found else 'the array'} changed its shape in more than one place")
     return f"the results differ: {'; '.join(found)}"
 
 
 def _shift_table(comparison: Comparison) -> Table:
     names = f"{comparison.first.name} to {comparison.second.name}"
     title = f"Shifts of the microphones from {escape(names)}, camera frame, mm"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in ("channel", "x", "y", "z", "length", "std", "chance", "in shape", "chance"):
         table.add_column(heading, justify="right", no_wrap=True)
     rows = zip(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import asdict
 from typing import Any
 
@@ -15,12 +17,24 @@ from rigs.geometry import CAMERA_FRAME, TDOA_SIGN
 
 FloatArray = NDArray[np.float64]
 
+DIGESTED = ("speed_of_sound_m_s", "speed_of_sound_std_m_s", "microphones", "camera", "recording", "array_covariance_m2")
 FORMAT = "acoustic-rig-calibration"
 VERSION = 1
 
 
 def as_document(result: Calibration) -> dict[str, Any]:
     """Return the result as plain values."""
+    document = _without_digest(result)
+    return document | {"digest": digest_of(document)}
+
+
+def digest_of(document: dict[str, Any]) -> str:
+    """Return the SHA-256 of what is used of a result, to tell that a hand has changed it."""
+    used = {key: document.get(key) for key in DIGESTED}
+    return f"sha256:{hashlib.sha256(json.dumps(used, sort_keys=True, default=str).encode()).hexdigest()}"
+
+
+def _without_digest(result: Calibration) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": VERSION,

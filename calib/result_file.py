@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calib.errors import ResultFileError
 from calib.joint.uncertainty import microphone_covariances
 from calib.result import Calibration, Recording
-from calib.result_document import FORMAT, VERSION, as_document
+from calib.result_document import FORMAT, VERSION, as_document, digest_of
 from calib.settings import Block, Method, Settings
 from calib.sound import TdoaMode
 from rigs.description import Intrinsics
@@ -193,6 +193,11 @@ def read_result(path: Path) -> StoredCalibration:
     for fault in (_session_fault(document), _channel_fault(document), _covariance_fault(document)):
         if fault:
             raise ResultFileError(f"{path}: {fault}, or {_AGAIN}")
+    if content.get("digest", digest_of(content)) != digest_of(content):
+        raise ResultFileError(
+            f"{path}: edited by hand since it was written, says its digest: {_AGAIN}, or remove the line `digest` to "
+            "take it as it is"
+        )
     return _stored(document, path.name)
 
 

@@ -51,7 +51,7 @@ class FoundDescription:
     how: str
 
 
-def find_description(rig: str | None) -> FoundDescription:
+def find_description(rig: str | None, named_by: str = "--rig") -> FoundDescription:
     """Find the description that is meant, read it and check it.
 
     Looked up from `rig`, then the environment's RIG, then ./rig.yaml, then the user's config folder; else the shipped
@@ -61,13 +61,15 @@ def find_description(rig: str | None) -> FoundDescription:
     ----------
     rig : str or None
         A path, or the bare name of a shipped rig such as "kinect8".
+    named_by : str
+        What gave `rig`, for messages.
 
     Raises
     ------
     DescriptionError
         There is no such file, it cannot be read, or it is not a valid description.
     """
-    named = [("--rig", rig), ("RIG", os.environ.get("RIG"))]
+    named = [(named_by, rig), ("RIG", os.environ.get("RIG"))]
     for how, name in named:
         if name:
             return _open(name, how)

@@ -91,14 +91,15 @@ def _follow(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[st
     path, models, named = "", [model], False  # named: what follows is an entry's own name
     for part in location:
         holders = [candidate for candidate in models if part in candidate.model_fields]
+        branches = [candidate for candidate in models if _is_branch(candidate, part)] if len(models) > 1 else []
         if isinstance(part, int) or named:
             path, named = _join(path, part), False
+        elif branches:  # before keys: a branch may have a key of its own name
+            models = branches
         elif holders:
             annotations = [holder.model_fields[part].annotation for holder in holders]
             path, named = _join(path, part), any(get_origin(annotation) is dict for annotation in annotations)
             models = [inner for annotation in annotations for inner in _models_in(annotation)]
-        else:
-            models = [candidate for candidate in models if _is_branch(candidate, part)] or models
     return path, models
 
 
@@ -113,7 +114,7 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models_in(inner)
 
 
-def _is_branch(model: type[BaseModel], tag: str) -> bool:
+def _is_branch(model: type[BaseModel], tag: int | str) -> bool:
     return any(get_args(field.annotation) == (tag,) for field in model.model_fields.values())
 
 
@@ -152,8 +153,11 @@ def _known_keys(models: Models) -> list[str]:
 
 
 def _unknown_branch(context: dict[str, Any], models: Models) -> str:
-    tags = (tag for model in models for field in model.model_fields.values() for tag in get_args(field.annotation))
-    known = f"give one of {', '.join(str(tag) for tag in tags)}"
+    key = context["discriminator"].strip("'")
+    fields = (model.model_fields[key] for model in models if key in model.model_fields)
+    known = (
+        f"give one of {', '.join(dict.fromkeys(str(tag) for field in fields for tag in get_args(field.annotation)))}"
+    )
     return f"{context['tag']!r} is not known: {known}" if "tag" in context else f"missing: {known}"
 
 

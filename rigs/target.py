@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -44,7 +45,7 @@ def check_target(path: Path, *, replaces: Literal["session", "calibration"] | No
     if path.name in ("", "..") or path.is_dir():
         raise TargetError(f"{path}: a folder, not a file: name a file")
     if not path.parent.is_dir():
-        raise TargetError(f"{path}: there is no folder {path.parent}: make it first, or name another")
+        raise TargetError(no_folder(path))
     if not (path.exists() or path.is_symlink()):
         return
     if replaces is None:
@@ -53,6 +54,13 @@ def check_target(path: Path, *, replaces: Literal["session", "calibration"] | No
         begins = stream.read(64)
     if not begins.startswith(_BEGINNINGS[replaces]):
         raise TargetExistsError(f"{path}: not a {replaces}, so not written over: choose another name")
+
+
+def no_folder(target: Path) -> str:
+    """Say that there is no folder to make a target in."""
+    if target.parent.exists():
+        return f"{target}: {target.parent} is a file, not a folder: name another"
+    return f"{target}: there is no folder {target.parent}: make it first, or name another"
 
 
 @contextmanager
@@ -72,11 +80,10 @@ def whole_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         Something of this name is there.
     TargetError
         There is no folder to make it in, or that cannot be written to.
-    OSError
-        The disk is full, say.
+        Nor where the disk is full.
     """
     if folder.name in ("", "..") or not folder.parent.is_dir():
-        raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
+        raise TargetError(no_folder(folder))
     if not replace and (folder.exists() or folder.is_symlink()):
         raise TargetExistsError(f"{folder}: there is already something of this name: choose another name")
     unfinished = _hidden_folder(folder)
@@ -86,6 +93,8 @@ def whole_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         if replace and folder.exists():
             shutil.rmtree(folder)
         unfinished.rename(folder)
+    except OSError as error:
+        raise _named(error, folder) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 
@@ -97,15 +106,24 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises
     ------
     TargetError
-        As `check_target`, or its folder cannot be written to.
+        As `check_target`, or its folder cannot be written to, or the disk is full.
     """
     check_target(path)
     folder = _hidden_folder(path)
     try:
         yield folder / path.name
         (folder / path.name).rename(path)
+    except OSError as error:
+        raise _named(error, path) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _named(error: OSError, target: Path) -> Exception:
+    """Return an error of a full disk that names what should have been written there; any other as it is."""
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        return error
+    return TargetError(f"{target}: cannot be written ({reason(error)}): free some space or choose another disk")
 
 
 def _hidden_folder(beside: Path) -> Path:

@@ -122,6 +122,7 @@ def test_kalibr_has_the_camera(exported):
 def test_a_third_radial_term_is_not_lost(result):
     stored = yaml.safe_load(result.read_text())
     stored["camera"]["distortion"][4] = 0.25
+    del stored["digest"]
     result.write_text(yaml.safe_dump(stored, sort_keys=False))
     assert calibrate(result, "--export", "kalibr") == 0
     camera = yaml.safe_load(beside(result, ".kalibr.yaml").read_text())["cam0"]

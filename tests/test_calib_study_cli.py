@@ -80,10 +80,14 @@ def test_all_quick(rig_study, tmp_path):
     assert made == (simulated | measured if published else simulated)
     figures = {path.name for path in (tmp_path / "out").glob("*/*.svg")}
     assert figures == ({"noise.svg", "microphones.svg", "space.svg", "poses.svg"} if published else {"noise.svg"})
-    assert "made with --quick" in report
+    assert "made with --quick: one repetition of each combination" in report
+    assert "| table2-as-published | Ours-2 (all pairs) | level 1 | 7.936 |" in report
+    assert "| buzzers | layout A of the paper's authors, 6 buzzers, for ours-2, joint; layout B" in report
     if published:
         assert "| *the paper prints* | | *24.44* |" in report
         assert "26.06" in report
+        assert report.count("those of the authors' ruler") == 4
+        assert "Not drawn, since it would hide the others: Legg, authors' search" in report
     else:
         for text in (out, report):
             assert "stand-ins, drawn at random" in text
@@ -104,7 +108,7 @@ def test_every_cell_of_a_study_is_shown(rig_study, small, tmp_path, monkeypatch)
     assert len({row["rmse_m"] for row in summary}) == len(summary) == 16
     for row in summary:
         shown = f"{1e3 * float(row['rmse_m']):.4g}"
-        (line,) = [line for line in page.splitlines() if line.startswith("|") and f" {shown} |" in line]
+        (line,) = [line for line in page.splitlines() if line.startswith("|") and f" {shown} ± " in line]
         for word in (
             f"array {row['array']}",
             f"noise {row['noise']}",
@@ -135,6 +139,14 @@ def test_a_study_of_ones_own(rig_study, small, tmp_path):
     assert float(summary["ours-2", "quiet", "12"]["rmse_m"]) == pytest.approx(expected)
     assert summary["ours-2", "quiet", "12"]["n"] == "7"
     assert "Ours-2" in out
+    page = (folder / "page.md").read_text(encoding="utf-8")
+    for line in (
+        "| array | ring | 5 on a ring of radius 0.25 m, rising by 0.2 m, centre (0.0, 0.0, 0.0) m |",
+        "| board | bench | of rig bench8, 6 buzzers |",
+        "| poses taken | 6, 12 | of the pose set, drawn at random for each repetition |",
+        "**Note:** bounds are those of the noise without outliers",
+    ):
+        assert line in page
 
 
 def test_a_finished_study_is_not_computed_again(rig_study, small, tmp_path, monkeypatch):
@@ -202,7 +214,8 @@ def test_an_interrupt_keeps_what_was_finished(rig_study, small, tmp_path, monkey
 
     monkeypatch.setattr("calib.study.run.solve_part", interrupted)
     exit_code, _, err = rig_study(small(), "--workers", "1")
-    assert (exit_code, err.strip()) == (130, "rig-study: interrupted")
+    told = "rig-study: interrupted: run the same command again to go on; finished parts are kept"
+    assert (exit_code, err.strip()) == (130, told)
     assert len(list((tmp_path / "out" / "small" / "parts").iterdir())) == 2
     assert not (tmp_path / "out" / "small" / "results.parquet").exists()
 
@@ -219,7 +232,11 @@ def test_an_interrupt_keeps_what_was_finished(rig_study, small, tmp_path, monkey
         ("n_poses: 12", "n_poses: 1", "is more than pose set 'few' has (1): at most 1"),
         ("kind: rig, rig: bench8", "kind: places, buzzers_m: [[0, 0, 0], [0.1, 0, 0]]",
          "board 'bench' is impossible: 8 independent TDOAs for 15 coordinates: give at least 2 poses, or more buzzers"),
-        ("kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2", "kind: cubus", "give one of"),
+        ("kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2", "kind: cubus",
+         "arrays.ring.kind: 'cubus' is not known: give one of cube, ring, places, ruler\n"),
+        ("law: gaussian, scale_s: 1.0e-6", "law: laplace",
+         "noises.quiet.law: 'laplace' is not known: give one of gaussian, uniform, measured\n"),
+        ("rig: bench8", "rig: bench8, layout: A", "boards.bench.layout: unknown key; known here: kind, rig\n"),
         ("kind: ring, n_mics: 5, radius_m: 0.25, rise_m: 0.2", "kind: places, microphones_m: [[0, 0, 0], [0, 0, 0]]",
          "array 'ring' is impossible: microphones 1 and 2 are at the same place"),
         ("methods: [ours-1, ours-2]", "methods: [ours-4]", "'ours-4' is not known"),
@@ -227,9 +244,9 @@ def test_an_interrupt_keeps_what_was_finished(rig_study, small, tmp_path, monkey
         ("noises: [quiet, loud]", "noises: [quite]", "runs[0].noises: there is no 'quite': did you mean 'quiet'?"),
         ("loud: {law: uniform, scale_s: 50.0e-6, grid_s: 41.7e-6, outliers: 0.02}", "loud: {law: measured}",
          "measured TDOAs go with the array kind ruler"),
-        ("rig: bench8", "rig: bench9", "bench9: no such rig description"),
+        ("rig: bench8", "rig: bench9", "boards.bench.rig: bench9: no such rig description (named by this study): "),
         ("n_poses: [6, 12]", "n_poses: [6, 13]", "runs[0].n_poses: 13 is more than pose set 'few' has (12)"),
-        ("name: small", "name: ../small", "name"),
+        ("name: small", "name: ../small", "name: '../small' cannot name a folder everywhere: give up to 80 letters"),
     ],
 )  # fmt: skip
 def test_a_wrong_study_is_told_in_a_line(rig_study, small, tmp_path, old, new, words):
@@ -259,7 +276,12 @@ def test_workers_do_not_go_with_a_cluster(rig_study, small):
 def test_what_is_not_there_is_told(rig_study, tmp_path):
     exit_code, _, err = rig_study("tabel2")
     assert exit_code == 2
-    assert "tabel2: no such study: give a path, or a shipped one: fig4-as-published" in err
+    assert "tabel2: no such study: did you mean table2?" in err
+    exit_code, _, err = rig_study("mine")
+    assert "mine: no such study: give the path of a YAML file, or one of table1, table2, table3, fig3, fig4, all" in err
+    exit_code, _, err = rig_study("fig4-as-written", "--protocol", "as-written")
+    assert exit_code == 2
+    assert "--protocol goes with table1, table2, table3, fig3, fig4 and all only" in err
     exit_code, _, err = rig_study("fig4")
     assert exit_code == 2
     assert "--published" in err

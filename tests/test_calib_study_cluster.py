@@ -1,6 +1,7 @@
 """Studies on several processes: on this machine's cores, and on a Dask cluster whose members die."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -52,6 +53,7 @@ def rig_study(study):
                 text=True,
                 cwd=study.parent,
                 env=environment | threads if limited else environment,
+                start_new_session=True,
             )
         )
         return started[-1]
@@ -106,6 +108,21 @@ def test_the_tables_are_the_same_to_the_byte_whatever_the_number_of_workers(rig_
     for name in ("results.csv", "results.parquet", "summary.csv", "page.md"):
         one, two = ((output / "parts" / name).read_bytes() for output in outputs.values())
         assert one == two, name
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_of_all_local_workers_is_one_line(rig_study, tmp_path, number):
+    output = tmp_path / "results"
+    running = rig_study(output, "--workers", "2")
+    wait_until(lambda: n_parts(output) >= 1 or running.poll() is not None)
+    if number == signal.SIGINT:
+        os.killpg(running.pid, number)  # as a terminal does: the workers get it, too
+    else:
+        running.send_signal(number)
+    _, err = running.communicate(timeout=START_S)
+    told = "rig-study: interrupted: run the same command again to go on; finished parts are kept\n"
+    assert (running.returncode, err) == (130, told)
+    assert 1 <= n_parts(output) < 24
 
 
 def test_a_scheduler_that_dies_is_told_and_what_was_finished_stays(rig_study, tmp_path):

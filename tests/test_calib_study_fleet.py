@@ -57,12 +57,16 @@ def test_each_session_gets_its_own_result(fleet_of_three, rig_calibrate, tmp_pat
     solved = []
     calibrate = fleet.calibrate_file
     monkeypatch.setattr(fleet, "calibrate_file", lambda *given: solved.append(given) or calibrate(*given))
-    exit_code, _, err = rig_calibrate("--each", *fleet_of_three[:2])
-    assert exit_code == 2
-    assert "calibrations.csv: already there: add --overwrite" in err
-    assert rig_calibrate("--each", *fleet_of_three[:2], "-o", tmp_path / "again.csv")[0] == 0
-    assert not solved  # what has a result keeps it
-    assert {row["outcome"] for row in rows_of(tmp_path / "again.csv")} == {fleet.THERE}
+    exit_code, out, err = rig_calibrate("--each", *fleet_of_three[:2])
+    assert exit_code == 0, err
+    assert "2 of 2 sessions have a result, 0 made now" in out
+    assert not solved  # what has a result keeps it, and its row
+    kept = [row | {"outcome": fleet.KEPT} for row in (first, second)]
+    assert rows_of(tmp_path / "calibrations.csv") == kept
+    (tmp_path / "s1.calib.yaml").write_text("format: nothing")
+    assert rig_calibrate("--each", *fleet_of_three[:2], "-o", tmp_path / "again.csv")[0] == 5
+    assert rows_of(tmp_path / "again.csv")[0] == kept[0]
+    assert "s1.calib.yaml" in rows_of(tmp_path / "again.csv")[1]["outcome"]
 
 
 def test_a_cluster_calibrates_a_fleet(fleet_of_three, rig_calibrate, tmp_path):
@@ -71,7 +75,7 @@ def test_a_cluster_calibrates_a_fleet(fleet_of_three, rig_calibrate, tmp_path):
     with dask_cluster(tmp_path / "cluster", 2) as cluster:
         exit_code, out, err = rig_calibrate(*fleet_of_three, "--cluster", cluster.address)
     assert exit_code == 5, err
-    assert "2 of 3 sessions calibrated now" in out
+    assert "2 of 3 sessions have a result, 2 made now" in out
     assert [row["outcome"] for row in rows_of(tmp_path / "calibrations.csv")][:2] == ["good", "good"]
     assert "broken.h5" in rows_of(tmp_path / "calibrations.csv")[2]["outcome"]
     assert rig_calibrate(tmp_path / "s1.h5", "--no-report", "-o", alone / "s1.calib.yaml")[0] == 0

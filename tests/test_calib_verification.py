@@ -149,6 +149,50 @@ def test_the_speed_of_sound_of_the_day_is_found(rigs):
     assert len(CHANNELS) == heard.arrival_s.shape[1]
 
 
+def test_what_cannot_be_seen_is_not_passed_as_unmoved(unmoved):
+    one = unmoved[0].movement
+    assert one.unseen(one.resolution_m) == ""
+    assert f"up to {1e3 * one.resolution_m:.1f} mm unseen" in one.unseen(0.9 * one.resolution_m)
+
+
+def test_each_microphone_has_its_own_smallest_motion(unmoved):
+    one = unmoved[0].movement
+    assert tuple(one.resolutions_m) == CHANNELS
+    assert one.resolution_m == max(one.resolutions_m.values())
+
+
+def test_exchanged_plugs_are_no_motion(rigs):
+    rig, calibration = rigs[0]
+    again = met_again(rig, 0)
+    order = [0, 1, 2, 4, 3, 5, 6, 7]
+    found = checked(calibration, replace(again, arrival_s=again.arrival_s[:, order], std_s=again.std_s[:, order]))
+    assert found.movement.swapped == [(4, 5)]
+    (failure, *_) = judge(found.located, found.comparison, found.movement, Limits()).failures
+    assert failure.startswith("channels 4 and 5 look swapped")
+    assert "array moved" not in failure
+
+
+def test_another_rigs_calibration_is_said_to_be_one(rigs):
+    (rig, _), (_, other) = rigs[:2]
+    shifts_m = 0.01 * np.random.default_rng(0).standard_normal((8, 3))
+    foreign = replace(other, positions_m=rigs[0][1].positions_m + shifts_m)
+    found = checked(foreign, met_again(rig, 0))
+    (failure, *_) = judge(found.located, found.comparison, found.movement, Limits()).failures
+    assert failure.startswith("this looks like another rig's calibration")
+    assert f"the focal length {np.mean(other.intrinsics.focal_px):.1f} px there" in failure
+    lengths_mm = [float(words.split()[-1]) for words in failure.split(" mm;")[0].split("microphone ")[1].split(",")]
+    assert len(lengths_mm) == 8
+    assert lengths_mm == sorted(lengths_mm, reverse=True)
+
+
+def test_a_dead_microphone_leaves_the_others_checked(rigs):
+    rig, calibration = rigs[0]
+    again = met_again(rig, 0)
+    arrival_s = np.where(np.arange(8) == 2, np.nan, again.arrival_s)
+    found = checked(calibration, replace(again, arrival_s=arrival_s))
+    assert sorted(found.movement.resolutions_m) == [1, 2, 4, 5, 6, 7, 8]
+
+
 def test_limits_decide(unmoved):
     one = unmoved[0]
     assert judge(one.located, one.comparison, one.movement, Limits()).passed

@@ -1,6 +1,9 @@
 """`rig-verify` as a user runs it, on sessions that begin with measured corners and TDOAs."""
 
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +55,8 @@ def refused(capsys, session: Path, calibration: Path, *more: object) -> tuple[in
 
 
 def spoilt(tmp_path: Path, document: dict) -> Path:
+    """Write a result edited by someone who means it, without its digest."""
+    document = {key: value for key, value in document.items() if key != "digest"}
     path = tmp_path / "spoilt.calib.yaml"
     path.write_text(yaml.safe_dump(document, sort_keys=False))
     return path
@@ -59,7 +64,7 @@ def spoilt(tmp_path: Path, document: dict) -> Path:
 
 def test_a_later_session_passes(later, calibration, capsys):
     before = later.read_bytes(), calibration.read_bytes()
-    assert verify(later, "--calibration", calibration) == 0
+    assert verify(later, "--calibration", calibration, "--limit-moved-mm", 3) == 0
     assert (later.read_bytes(), calibration.read_bytes()) == before
     said = capsys.readouterr().out
     assert said.startswith("PASS")
@@ -95,7 +100,32 @@ def test_a_microphone_that_moved_fails(tmp_path, simulated_description, calibrat
     said = " ".join(capsys.readouterr().out.split())
     assert "moved, but by less than 10 mm" in said
     assert "nothing has moved by more than 10 mm" in said
-    assert "has not moved" not in said
+
+
+def test_a_limit_that_cannot_be_seen_is_not_told(later, calibration, capsys):
+    assert verify(later, "--calibration", calibration, "--limit-moved-mm", 0.01) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("PASS sounds lie on their buzzers, within 0.25 degrees in the median ")
+    assert "has moved by" not in said
+    assert "? whether the array has moved since is not told: a microphone could have moved by up to" in said
+    movement = yaml.safe_load((later.with_suffix(".verify") / "verification.yaml").read_text())["movement"]
+    assert not movement["told"]
+    assert "the limit is 0.01 mm" in movement["why_not"]
+    assert movement["smallest_told_m"] == max(movement["smallest_told_by_channel_m"].values()) > 1e-5
+
+
+@pytest.mark.parametrize(("limit_deg", "exit_code"), [(0.001, 5), (1.0, 0)])
+def test_a_reader_who_has_gone_changes_no_verdict(later, calibration, limit_deg, exit_code):
+    program = "import sys; from calib.verification.cli import main; sys.argv[0] = 'rig-verify'; main()"
+    command = [sys.executable, "-c", program, later, "--calibration", calibration, "--limit-deg", limit_deg]
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        found = subprocess.run([str(word) for word in command], stdout=writing, stderr=subprocess.PIPE, check=False)
+    finally:
+        os.close(writing)
+    assert found.returncode == exit_code
+    assert found.stderr == b""
 
 
 def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys):
@@ -110,8 +140,7 @@ def test_the_calibrations_own_session_is_held_out(calibration, tmp_path, capsys)
 def test_the_calibrations_own_session_does_not_tell_of_movement(calibration, tmp_path, capsys):
     assert verify(calibration.with_name("s1.h5"), "--calibration", calibration, "-o", tmp_path / "own") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "has not moved" not in said
-    assert "no microphone has moved" not in said
+    assert "has moved by" not in said
     assert "whether the array has moved since is not told: these poses were captured when it was calibrated" in said
     movement = yaml.safe_load((tmp_path / "own" / "verification.yaml").read_text())["movement"]
     assert not movement["told"]
@@ -155,6 +184,18 @@ def test_an_edited_calibration_of_the_own_session_is_refused(calibration, docume
 def test_an_edited_calibration_fails_on_a_later_session(later, document, tmp_path):
     document["microphones"][2]["position_m"][0] += 0.02
     assert verify(later, "--calibration", spoilt(tmp_path, document)) == 5
+
+
+def test_an_edited_calibration_says_so(later, document, tmp_path, capsys):
+    path = tmp_path / "x.calib.yaml"
+    path.write_text(yaml.safe_dump(document))  # in another order, with other breaks: the same numbers
+    read_result(path)
+    document["microphones"][2]["position_m"][0] += 1e-4
+    path.write_text(yaml.safe_dump(document))
+    exit_code, error = refused(capsys, later, path)
+    assert exit_code == 2
+    assert "x.calib.yaml: edited by hand since it was written" in error
+    assert "remove the line `digest`" in error
 
 
 def test_sounds_beside_their_buzzers_fail(later, calibration, capsys):
@@ -214,7 +255,10 @@ def test_fewer_channels_are_verified_or_refused(later, document, tmp_path, capsy
     exit_code, error = refused(capsys, later, keep(4))
     assert exit_code == 2
     assert "at least 5 are needed" in error
-    assert verify(later, "--calibration", keep(6)) == 0
+    assert verify(later, "--calibration", keep(6), "--limit-moved-mm", 9) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "none of the 6 microphones checked has moved" in said
+    assert "channels 7, 8: not checked" in said
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ import yaml
 from test_end_to_end import capture_short, shell
 
 from calib.verification.film import CODECS, write_film
+from calib.verification.overlay import BAR_LINES, bar_px
 from rigs.session.reader import Session
 
-BAR_PX = 16  # of words, at this width
 MOVED = {"visit": 1, "faults": [{"kind": "moved_channel", "channel": 4}]}
 
 
@@ -28,6 +28,12 @@ def bench(tmp_path_factory) -> Path:
 
 def figures(folder: Path) -> dict:
     return yaml.safe_load((folder / "verification.yaml").read_text())
+
+
+def redness(picture: np.ndarray) -> float:
+    """Return how much more red than green the last line of words is."""
+    line = picture[-bar_px(picture.shape[1]) // BAR_LINES :].astype(float)
+    return float((line[..., 2] - line[..., 1]).mean())
 
 
 def test_held_out_poses_of_a_session(bench):
@@ -52,7 +58,8 @@ def test_the_pictures_show_what_was_found(bench):
     with Session.open(bench / "s1.h5") as session:
         photo = session.picture(int(np.flatnonzero(session.frames["pose"] == poses[0])[0]))
     picture = cv2.imread(str(folder / f"pose-{poses[0]:03d}.png"))
-    assert picture.shape == (photo.shape[0] + BAR_PX, photo.shape[1], 3)
+    assert picture.shape == (photo.shape[0] + bar_px(photo.shape[1]), photo.shape[1], 3)
+    assert redness(picture) < -1  # the verdict: passed
     warmth = picture[: photo.shape[0], :, 2].astype(float) - picture[: photo.shape[0], :, 0]  # red over blue
     for one in found["emissions"][:6]:
         x, y = (round(value) for value in one["seen_px"])
@@ -69,6 +76,7 @@ def test_a_moved_microphone_is_named(bench):
     assert said.startswith("FAIL array moved: microphone 4 by ")
     (moved,) = figures(bench / "s2.verify")["movement"]["moved"]
     assert moved["what"] == 4
+    assert all(redness(cv2.imread(str(path))) > 1 for path in (bench / "s2.verify").glob("*.png"))
     assert abs(np.linalg.norm(moved["shift_m"]) - 0.003) < 3 * moved["std_m"] + 0.0002
 
 

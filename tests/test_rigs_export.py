@@ -115,6 +115,8 @@ def test_all_emissions_leave_out_those_during_which_audio_was_lost(tmp_path, cap
         (("--emission", 9), 5, "there is no emission 9: they go from 0 to 3"),
         (("--emission", 1, "--channel", 77), 5, "channel 77 was not recorded: there are 1, 2"),
         (("--emission", 1, "-o", "x.mp3"), 2, "end the name with one of them"),
+        (("--emission", 1, "-o", "x.flac", "--format", "wav"), 2, "x.flac: a name for FLAC, but --format wav"),
+        (("--emission", 1, "-o", "s1.h5/x.wav"), 2, "s1.h5 is a file, not a folder"),
         (("--emission", 1, "-o", "nowhere/x.wav"), 2, "no folder"),
         (("--emission", "0-3", "-o", "nowhere/x"), 2, "no folder"),
         (("--emission", "0-3", "-o", "x.wav"), 2, "4 emissions make a file each: name a folder"),
@@ -187,9 +189,36 @@ def test_frames_come_out_as_the_camera_gave_them(session, capsys):
 def test_frames_of_a_pose(session, tmp_path, capsys):
     assert rig_session("frames", session, "--pose", 1, "-o", tmp_path / "f") == 0
     assert {path.name[-7:-4] for path in (tmp_path / "f").iterdir()} == {"001"}
-    assert refused(capsys, "frames", session, "--pose", 7)[0] == 2
-    assert refused(capsys, "frames", session, "--frame", 12)[0] == 5
+    capsys.readouterr()
+    code, error = refused(capsys, "frames", session, "--pose", 7)
+    assert code == 5
+    assert "there is no pose 7 with a picture: they go from 0 to 1" in error
     assert not (tmp_path / "s1.frames").exists()
+    (tmp_path / "s1.frames").mkdir()
+    code, error = refused(capsys, "frames", session, "--frame", 12)
+    assert code == 5
+    assert "there is no frame 12 with a picture: they go from 0 to 3" in error
+    assert rig_session("frames", session, "--frame", 1, "-o", tmp_path / "one") == 0
+    assert "one: 1 frame\n" in capsys.readouterr().out
+
+
+def test_sound_that_the_session_does_not_hold_is_told(session, tmp_path, capsys):
+    assert rig_session("audio", session, "--emission", 0, "--before-s", 60) == 0
+    said = capsys.readouterr().out
+    assert "shorter than asked for" in said
+    assert rig_session("audio", session, "--emission", 0, "--before-s", 0, "-o", tmp_path / "a.wav") == 0
+    assert "shorter" not in capsys.readouterr().out
+
+
+def test_a_full_disk_is_named(session, tmp_path, capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    code, error = refused(capsys, "frames", session, "-o", tmp_path / "f")
+    assert code == 2
+    assert f"{tmp_path / 'f'}: cannot be written (No space left on device): free some space" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["s1.h5"]
 
 
 def test_a_damaged_frame_leaves_nothing_behind(session, capsys):

@@ -50,7 +50,8 @@ def test_after_the_sound_device_was_gone_every_buzzer_is_heard_where_expected(tm
     with Session.open(tmp_path / "s.h5") as session:
         poses, emissions = session.poses, session.emissions
         assert np.count_nonzero(session.audio_blocks["flags"] & FLAG_GAP) == 1, said
-        assert poses["accepted"].tolist() == [1, 0, 1, 1], said
+        assert poses["accepted"].tolist()[-4:] == [1, 0, 1, 1], said
+        assert not poses["accepted"][:-4].any(), said  # on a busy machine the first pose may be taken again
         for pose in poses["pose"][poses["accepted"] == 1]:
             heard = emissions[(emissions["pose"] == pose) & (emissions["accepted"] == 1)]
             assert heard["buzzer"].tolist() == [1, 2, 3, 4, 5, 6], said

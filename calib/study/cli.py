@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 ITEMS = ("table1", "table2", "table3", "fig3", "fig4")
 PROTOCOLS = ("as-published", "as-written")
+QUICK_HELP = (
+    "One repetition of each combination, of three of its numbers of poses at most (the smallest, the largest and one "
+    "between): to see that it runs."
+)
 NEEDED = ("pyarrow", "distributed", "matplotlib")
 
 
@@ -30,7 +34,7 @@ NEEDED = ("pyarrow", "distributed", "matplotlib")
     "--protocol", type=click.Choice(PROTOCOLS), help="Of the paper's items: how its tables were made, or how its text "
     "has it [default: both].",
 )  # fmt: skip
-@click.option("--quick", is_flag=True, help="A few repetitions of everything: to see that it runs.")
+@click.option("--quick", is_flag=True, help=QUICK_HELP)
 @click.option(
     "--published",
     type=click.Path(path_type=Path, file_okay=False),
@@ -68,6 +72,8 @@ def command(
     if cluster is not None and workers is not None:
         raise click.UsageError("--workers counts processes on this machine: leave it out with --cluster")
     who = Workers(Workers.of_machine().number if workers is None else workers, cluster)
+    if protocol is not None and what not in (*ITEMS, "all"):
+        raise click.UsageError(f"--protocol goes with {', '.join(ITEMS)} and all only: leave it out with {what}")
     console, files = Console(), read_published(published)
     if what not in (*ITEMS, "all"):
         _own_study(what, output, quick, files, who, console)
@@ -84,7 +90,7 @@ def _own_study(what: str, output: Path, quick: bool, published: Published, worke
     from calib.study.paper import STUDY_OF, finish
     from calib.study.run import run_study
 
-    study = find_study(what)
+    study = find_study(what, also=(*ITEMS, "all"))
     finished = run_study(study, output / study.name, published, workers, console, quick=quick)
     for remark in remarks(finished):
         console.print(f"! {remark}", soft_wrap=True)

@@ -6,6 +6,7 @@ are metres, times seconds; the unit is part of every key.
 
 from __future__ import annotations
 
+import re
 from itertools import combinations
 from typing import Annotated, Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from rigs.description import Position
+from rigs.errors import DescriptionError
 from rigs.section import Section
 
 MethodName = Literal["ours-1", "ours-2", "ours-3", "search", "legg-2013", "joint"]
@@ -112,11 +114,24 @@ class RigBoard(Section):
     kind: Literal["rig"]
     rig: str = Field(min_length=1, description="a path, or a shipped rig such as bench8")
 
+    @field_validator("rig")
+    @classmethod
+    def _rig_is_there(cls, rig: str) -> str:
+        try:
+            _rig_buzzers_m(rig)
+        except DescriptionError as error:
+            raise ValueError(str(error)) from error
+        return rig
+
     def places_m(self) -> list[Position]:
         """Return the buzzers."""
-        from rigs.library import find_description  # noqa: PLC0415 (heavy)
+        return _rig_buzzers_m(self.rig)
 
-        return [buzzer.position_m for buzzer in find_description(self.rig).description.board.buzzers]
+
+def _rig_buzzers_m(rig: str) -> list[Position]:
+    from rigs.library import find_description  # noqa: PLC0415 (heavy)
+
+    return [buzzer.position_m for buzzer in find_description(rig, "this study").description.board.buzzers]
 
 
 Board = Annotated[ListedBoard | PublishedBoard | RigBoard, Field(discriminator="kind")]
@@ -231,7 +246,7 @@ class StudyDescription(Section):
 
     format: Literal["acoustic-study"] = "acoustic-study"
     version: Literal[1] = 1
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}$", description="letters, digits, blanks, . _ -")
+    name: str = Field(description="letters a to z, digits, blanks, . _ -; names the folder")
     title: str = Field("", max_length=300)
     seed: int = Field(0, ge=0, le=2**63 - 1)
     repetitions: int = Field(100, ge=1, le=MAX_REPETITIONS, strict=True)
@@ -246,6 +261,16 @@ class StudyDescription(Section):
     pose_sets: dict[str, PoseSet] = Field(min_length=1)
     noises: dict[str, Noise] = Field(min_length=1)
     runs: tuple[Run, ...] = Field(min_length=1)
+
+    @field_validator("name")
+    @classmethod
+    def _name_can_name_a_folder(cls, name: str) -> str:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}", name):
+            raise ValueError(
+                f"{name[:100]!r} cannot name a folder everywhere: give up to 80 letters a to z, digits, blanks, "
+                ". _ -, a letter or digit first; title takes any words"
+            )
+        return name
 
     @field_validator("arrays")
     @classmethod

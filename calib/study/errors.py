@@ -19,6 +19,12 @@ class DiskError(CalibrationError):
     exit_code = 3
 
 
+class EndedError(CalibrationError):
+    """Somebody ended the computation (Ctrl-C, SIGTERM); what was finished stays."""
+
+    exit_code = 130
+
+
 class ClusterError(CalibrationError):
     """The cluster is not there, or died; what was finished stays."""
 

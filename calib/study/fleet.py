@@ -6,7 +6,9 @@ import csv
 import io
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -15,10 +17,14 @@ from rich.text import Text
 from calib.errors import CalibrationError
 from calib.pipeline import calibrate
 from calib.result import Calibration
+from calib.result_document import as_document
+from calib.result_file import read_result
 from calib.result_writer import write_calibration
 from calib.settings import Settings
-from calib.study.workers import Workers, compute
+from calib.study.errors import EndedError
+from calib.study.workers import Workers, compute, ended_by_sigterm
 from rigs.errors import RigError, TargetExistsError
+from rigs.library import load_yaml
 from rigs.session.reader import Session
 from rigs.target import check_target
 
@@ -27,7 +33,7 @@ CAPTION = (
     "std: root mean square of the microphones' standard deviations; residual: robust sigma of the TDOAs; "
     "rmse: against the session's truth, where it has one"
 )
-GOOD, THERE = "good", "there already: add --overwrite to replace it"
+GOOD, KEPT = "good", "good, made before (--overwrite makes it again)"
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class FleetRow:
     ----------
     session : str
     outcome : str
-        GOOD, THERE, or what went wrong.
+        GOOD, KEPT, or what went wrong.
     n_poses, n_warnings : int or None
     std_mm : float or None
         Root mean square of the microphones' standard deviations.
@@ -58,7 +64,7 @@ class FleetRow:
     @property
     def is_good(self) -> bool:
         """There is a result, of now or of before."""
-        return self.outcome in (GOOD, THERE)
+        return self.outcome in (GOOD, KEPT)
 
 
 def calibrate_each(
@@ -75,15 +81,15 @@ def calibrate_each(
     table : Path
         CSV file to write.
     overwrite : bool
-        Replace results that are there; else their sessions are left as they are.
+        Replace results that are there; else they are kept, and their rows are made of them.
     console : Console
 
     Raises
     ------
-    TargetError, ClusterError
+    TargetError, ClusterError, EndedError
     """
     files = tuple(dict.fromkeys(file.absolute() for file in files))
-    _check_table(table, overwrite=overwrite)
+    _check_table(table)
     rows: dict[Path, FleetRow] = {}
     missing = [file for file in files if overwrite or not _result_path(file).exists()]
     with console.status(f"0 of {len(missing)} sessions") as status:
@@ -92,8 +98,12 @@ def calibrate_each(
             rows[missing[index]] = _row(missing[index], outcome, overwrite=overwrite)
             status.update(f"{len(rows)} of {len(missing)} sessions")
 
-        compute(calibrate_file, [(str(file), settings) for file in missing], workers, done)
-    listed = [rows.get(file) or FleetRow(file.name, THERE) for file in files]
+        try:
+            with ended_by_sigterm():
+                compute(calibrate_file, [(str(file), settings) for file in missing], workers, done)
+        except KeyboardInterrupt as error:
+            raise EndedError("interrupted: run the same command again to go on; finished results are kept") from error
+    listed = [rows.get(file) or _row_of_before(file) for file in files]
     table.write_text(_csv(listed), encoding="utf-8")
     return listed
 
@@ -108,14 +118,16 @@ def calibrate_file(path: str, settings: Settings) -> Calibration | str:
 
 
 def show_fleet(rows: list[FleetRow], table: Path, console: Console) -> None:
-    """Print the table, and a line for each session without a new result."""
-    good = [row for row in rows if row.outcome == GOOD]
+    """Print the table, and a line for each session without a result."""
+    good, new = [row for row in rows if row.is_good], sum(row.outcome == GOOD for row in rows)
     if good:
         console.print(_shown(good))
     for row in rows:
-        if row.outcome != GOOD:
+        if not row.is_good:
             console.print(Text(f"! {row.session}: {row.outcome}"), soft_wrap=True)
-    console.print(Text(f"{len(good)} of {len(rows)} sessions calibrated now. Written: {table}"), soft_wrap=True)
+    console.print(
+        Text(f"{len(good)} of {len(rows)} sessions have a result, {new} made now. Written: {table}"), soft_wrap=True
+    )
 
 
 def _shown(rows: list[FleetRow]) -> Table:
@@ -128,12 +140,11 @@ def _shown(rows: list[FleetRow]) -> Table:
     return shown
 
 
-def _check_table(table: Path, *, overwrite: bool) -> None:
+def _check_table(table: Path) -> None:
+    """Refuse what is no such table; one of before is written anew, with what is there and what is new."""
     if not table.exists():
         check_target(table)
         return
-    if not overwrite:
-        raise TargetExistsError(f"{table}: already there: add --overwrite, or name another --output")
     if not table.is_file() or not table.read_bytes().startswith(HEADING):
         raise TargetExistsError(f"{table}: is no table of --each: name another --output")
 
@@ -145,17 +156,36 @@ def _row(path: Path, outcome: Calibration | str, *, overwrite: bool) -> FleetRow
         write_calibration(outcome, _result_path(path), overwrite=overwrite)
     except (RigError, OSError) as error:
         return FleetRow(path.name, str(error))
-    evaluation = outcome.evaluation
+    return _row_of_document(path, GOOD, as_document(outcome))
+
+
+def _row_of_before(path: Path) -> FleetRow:
+    """Return the row of a result that an earlier command made."""
+    result = _result_path(path)
+    try:
+        read_result(result)  # refuses what is none
+        return _row_of_document(path, KEPT, load_yaml(result.read_text(encoding="utf-8"), str(result)))
+    except (CalibrationError, RigError, OSError) as error:
+        return FleetRow(path.name, str(error))
+
+
+def _row_of_document(path: Path, outcome: str, document: dict[str, Any]) -> FleetRow:
+    std_m = np.array([each["std_m"] for each in document["microphones"]])
+    evaluation, residual = document.get("evaluation") or {}, document.get("residual") or {}
     return FleetRow(
         session=path.name,
-        outcome=GOOD,
-        n_poses=len(outcome.view.board_to_camera),
-        std_mm=round(1e3 * float((outcome.std_m**2).sum(axis=1).mean() ** 0.5), 4),
-        robust_sigma_us=round(1e6 * outcome.residual.robust_sigma_s, 4),
-        speed_of_sound_m_s=round(outcome.speed_of_sound_m_s, 3),
-        rmse_mm=None if evaluation is None else round(1e3 * evaluation.rmse_m, 4),
-        n_warnings=len(outcome.warnings),
+        outcome=outcome,
+        n_poses=document["camera"].get("n_poses"),
+        std_mm=round(1e3 * float((std_m**2).sum(axis=1).mean() ** 0.5), 4),
+        robust_sigma_us=_scaled(residual.get("robust_sigma_s"), 1e6, 4),
+        speed_of_sound_m_s=_scaled(document.get("speed_of_sound_m_s"), 1.0, 3),
+        rmse_mm=_scaled(evaluation.get("rmse_m"), 1e3, 4),
+        n_warnings=len(document.get("warnings") or []),
     )
+
+
+def _scaled(value: float | None, factor: float, digits: int) -> float | None:
+    return None if value is None else round(factor * value, digits)
 
 
 def _result_path(session: Path) -> Path:

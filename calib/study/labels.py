@@ -12,10 +12,11 @@ NAMES = {
     "ours-1": "Ours-1 (one reference)",
     "ours-2": "Ours-2 (all pairs)",
     "ours-3": "Ours-3 (known ninth)",
-    "search": "Legg, authors' search",
-    "legg-2013": "Legg, 2013 method",
+    "search": "Legg, authors' search (known ninth)",
+    "legg-2013": "Legg, 2013 method (flight times, known ninth)",
     "joint": "joint",
 }
+MEASURED = "the TDOAs that the paper's authors measured; repetitions differ in first guess and poses taken only"
 FIELDS = ("array", "board", "pose_set", "noise", "n_poses", "starts")
 
 
@@ -53,7 +54,11 @@ class Labels:
 
     def row(self, case: Case, *also: str) -> str:
         """Return the name of a case's row: its method, and what else differs but the column; `also` is added."""
-        return ", ".join(filter(None, [NAMES[case.method], *self._words(case), *also]))
+        return ", ".join(filter(None, [NAMES[case.method], self.rest(case, *also)]))
+
+    def rest(self, case: Case, *also: str) -> str:
+        """Return what else than the method differs but the column; `also` is added."""
+        return ", ".join(filter(None, [*self._words(case), *also]))
 
     def _words(self, case: Case) -> list[str]:
         told = [name for name in FIELDS if name in self.differing and name != self.along]
@@ -72,8 +77,9 @@ def noise_kinds(noises: dict[str, Noise]) -> dict[str, str]:
 
 def noise_words(noise: Noise) -> str:
     """Return a noise in words, its scale first."""
-    scale = "" if isinstance(noise, MeasuredNoise) else f"{1e6 * noise.scale_s:.4g} us "
-    return scale + ", ".join(_told(noise))
+    if isinstance(noise, MeasuredNoise):
+        return MEASURED
+    return f"{1e6 * noise.scale_s:.4g} us " + ", ".join(_told(noise))
 
 
 def _told(noise: Noise) -> list[str]:

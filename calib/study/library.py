@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,8 +14,8 @@ from calib.study.errors import StudyError
 from rigs.library import parse_document, read_document
 
 
-def find_study(name: str) -> StudyDescription:
-    """Find a study by the bare name of a shipped one, or by the path of a YAML file.
+def find_study(name: str, also: Sequence[str] = ()) -> StudyDescription:
+    """Find a study by the bare name of a shipped one, or by the path of a YAML file; `also`: other names, for a remedy.
 
     Raises
     ------
@@ -25,7 +27,10 @@ def find_study(name: str) -> StudyDescription:
         return parse_study(shipped[name], f"{name}.yaml (shipped)")
     path = Path(name)
     if not path.exists():
-        raise StudyError(f"{name}: no such study: give a path, or a shipped one: {', '.join(shipped)}")
+        known = [*also, *shipped]
+        near = difflib.get_close_matches(name, known, n=1)
+        remedy = f"did you mean {near[0]}?" if near else f"give the path of a YAML file, or one of {', '.join(known)}"
+        raise StudyError(f"{name}: no such study: {remedy}")
     return parse_study(read_document(path, "study"), name)
 
 

@@ -9,29 +9,48 @@ import numpy as np
 import yaml
 
 from calib.methods import MAX_REACH_M
-from calib.study.labels import Labels, noise_words
+from calib.study.description import RulerArray
+from calib.study.labels import NAMES, Labels
+from calib.study.parameters import tried_table
 from calib.study.run import FinishedStudy
 from calib.study.summary import CaseSummary
 
 FIGURES = {
     "paper_rmse_m": "The paper's error figure, mm: RMS over the repetitions that converged, squared errors of "
     "microphones 1 to 7 summed and divided by 8",
-    "rmse_m": "RMS error, mm: of all microphones, over the repetitions that converged",
-    "bound_m": "Cramer-Rao bound of the RMS error, mm: of all microphones, for Gaussian noise of the same variance",
-    "median_m": "Median error, mm: of all repetitions' RMS errors",
-    "aligned_median_m": "Median error after rigid alignment, mm: of all repetitions, the array's shape alone",
-    "settled": f"Convergence rate: repetitions that converged, within {MAX_REACH_M:g} m",
-    "at_optimum": "Optimum rate: repetitions that ended within 1 mm of where a start at the true places ends",
+    "rmse_m": "RMS error, mm, ± its standard error: of all microphones, over the repetitions that converged",
+    "bound_m": "Cramer-Rao bound of the RMS error, mm: of all microphones, for Gaussian noise of the same variance, "
+    "without outliers",
+    "median_m": "Median error, mm: of all repetitions' RMS errors, those that did not converge taken as infinite",
+    "aligned_median_m": "Median error after rigid alignment, mm: the same of the array's shape alone",
+    "convergence_rate": f"Convergence rate: repetitions that converged, within {MAX_REACH_M:g} m",
+    "optimum_rate": "Optimum rate: repetitions that ended within 1 mm of where a start at the true places ends",
 }
-IN_TERMINAL = ("paper_rmse_m", "rmse_m", "bound_m", "median_m", "settled", "at_optimum")
+RATES = ("convergence_rate", "optimum_rate")
+IN_TERMINAL = ("paper_rmse_m", "rmse_m", "bound_m", "median_m", *RATES)
 OF_CONVERGED = ("paper_rmse_m", "rmse_m")
+LEFT_OUT = "In brackets: how many of the repetitions converged, where not all did; the figure is of these alone."
 MOST_COLUMNS = 6  # of a table, in the terminal
-NEVER_MM = 1e5  # more says only that some repetition ran away
+NEVER_MM, NOTHING_MM = 1e5, 1e-6  # more says only that some repetition ran away; less is rounding
 STAND_IN = (
     "the paper's 69 board poses are stand-ins, drawn at random, since --published was not given: figures differ from "
     "the paper's"
 )
-QUICK = "made with --quick: so few repetitions show that it runs, and nothing about the methods"
+QUICK = (
+    "made with --quick: one repetition of each combination, of some of the numbers of poses; it shows that it runs, "
+    "and nothing about the methods"
+)
+RULER = (
+    "measured by ruler: the true places are those of the authors' ruler, in a frame that is itself turned against the "
+    "camera's by 6 to 7 degrees. So errors are distances to that frame: of two methods, the nearer one need not be the "
+    "better one"
+)
+KNOWING = (
+    "Legg, 2013 method takes flight times and a microphone at a known place, which Ours-1, Ours-2 and joint do not "
+    "have (times of emission are known to it; of measurements, by the distance to the known microphone); its bound is "
+    "that of flight times"
+)
+OUTLIERS = "bounds are those of the noise without outliers, which no method reaches that does not know which they are"
 
 Row = tuple[str, str, int]  # name, method, repetitions
 
@@ -56,7 +75,56 @@ def terminal_page(finished: FinishedStudy, item: str | None = None) -> str:
 
 def remarks(finished: FinishedStudy) -> list[str]:
     """Return what a reader of the figures must know first."""
-    return [text for text, holds in ((QUICK, finished.quick), (STAND_IN, finished.stand_in)) if holds]
+    study, cases = finished.folder.study, [each.case for each in finished.summaries]
+    noises = [study.noises[case.noise] for case in cases]
+    told = {
+        QUICK: finished.quick,
+        STAND_IN: finished.stand_in,
+        RULER: any(isinstance(study.arrays[case.array], RulerArray) for case in cases),
+        KNOWING: any(case.method == "legg-2013" for case in cases),
+        OUTLIERS: any(getattr(noise, "outliers", 0) for noise in noises),
+    }
+    return [text for text, holds in told.items() if holds]
+
+
+def printed_beside_ours(studies: list[tuple[str, str, FinishedStudy]]) -> list[str]:
+    """Return a table of what the paper prints, what came out, and the difference; nothing where it prints nothing.
+
+    Parameters
+    ----------
+    studies : list of (str, str, FinishedStudy)
+        Name, the paper's item, and what came out.
+    """
+    rows = [row for name, item, finished in studies for row in _printed_rows(name, item, finished)]
+    if not rows:
+        return ["The paper's text has no figures for this to stand beside.", ""]
+    head = [
+        "## Printed and ours, in short",
+        "",
+        "The paper's error figure, mm. Its figures 3 and 4 print pictures only; its Table I is not among what we have.",
+        "",
+    ]
+    return [
+        *head,
+        "| study | method | noise | printed | ours | difference |",
+        f"| {'--- | ' * 3}{'---: | ' * 3}",
+        *rows,
+        "",
+    ]
+
+
+def _printed_rows(name: str, item: str, finished: FinishedStudy) -> list[str]:
+    rows = []
+    for each in sorted(finished.summaries, key=lambda each: list(NAMES).index(each.case.method)):
+        value_mm = printed(item).get(each.case.method, {}).get(each.case.noise)
+        if value_mm is None:
+            continue
+        difference = (
+            f"{round(100 * (1e3 * each.paper_rmse_m / value_mm - 1), 1) + 0.0:+.1f} %" if each.n_settled else ""
+        )
+        cells = (NAMES[each.case.method], each.case.noise, f"{value_mm:.4g}", _cell(each, "paper_rmse_m"), difference)
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return rows
 
 
 @cache
@@ -77,16 +145,14 @@ def printed(item: str) -> dict[str, dict[str, float]]:
 
 
 def _head(finished: FinishedStudy) -> list[str]:
-    """Return title, what the columns of the tables are, and what must be known of the figures."""
+    """Return title, what the columns of the tables are, what was tried, and what must be known of the figures."""
     study, cases = finished.folder.study, [each.case for each in finished.summaries]
     of_poses = Labels.of(cases).along == "n_poses"
     across = "number of poses, a random subset for each repetition" if of_poses else "noise"
-    used = {case.noise for case in cases}
-    noises = [f"*{name}*: {noise_words(noise)}" for name, noise in study.noises.items() if name in used]
     paragraphs = [
         f"## {study.title or study.name}",
         f"`{study.name}`, seed {study.seed}. Columns of the tables: n, the number of repetitions; then {across}.",
-        f"Noise: {'; '.join(noises)}.",
+        "\n".join(tried_table(study, cases, stand_in=finished.stand_in)),
         *(f"**Note:** {remark}." for remark in remarks(finished)),
     ]
     return [line for paragraph in paragraphs for line in (paragraph, "")]
@@ -105,26 +171,49 @@ def _tables(finished: FinishedStudy, item: str | None, figures: tuple[str, ...],
         elif rows:
             shown = printed(item) if name == "paper_rmse_m" and item else {}
             lines += [f"**{FIGURES[name]}**", "", *_markdown(rows, shown, columns), ""]
+            if name in OF_CONVERGED and any(each.n_settled < each.n for each in finished.summaries):
+                lines += [LEFT_OUT, ""]
     return lines
 
 
 def _pivot(summaries: list[CaseSummary], figure: str) -> dict[Row, dict[str, str]]:
     """Return cells by row and column; empty where the study has no such figure."""
     labels, rows = Labels.of(each.case for each in summaries), dict[Row, dict[str, str]]()
-    share = figure in ("settled", "at_optimum")
     for summary in summaries:
-        value = getattr(summary, figure)
-        if figure in OF_CONVERGED and summary.settled == 0:
-            value = np.inf
-        if np.isnan(value):
-            continue
-        cells = rows.setdefault((labels.row(summary.case), summary.case.method, summary.n), {})
-        cells[labels.column(summary.case)] = f"{100 * value:.0f} %" if share else _millimetres(value)
+        cell = _cell(summary, figure)
+        if cell:
+            cells = rows.setdefault((labels.row(summary.case), summary.case.method, summary.n), {})
+            cells[labels.column(summary.case)] = cell
     return rows
+
+
+def _cell(summary: CaseSummary, figure: str) -> str:
+    """Return a figure as it stands in a table; an empty word where there is none."""
+    value = getattr(summary, figure)
+    if figure in RATES:
+        return "" if np.isnan(value) else share_words(round(value * summary.n), summary.n)
+    if figure not in OF_CONVERGED:
+        return "" if np.isnan(value) else _millimetres(value)
+    if summary.n_settled == 0:
+        return "diverged"
+    if np.isnan(value):
+        return ""
+    error_mm = 1e3 * summary.rmse_std_error_m
+    error = f" ± {error_mm:.2g}" if figure == "rmse_m" and error_mm > NOTHING_MM else ""
+    used = f" ({summary.n_settled}/{summary.n})" if summary.n_settled < summary.n else ""
+    return _millimetres(value) + error + used
+
+
+def share_words(count: int, n: int) -> str:
+    """Return a share in per cent; as a count where rounding would make it all or none."""
+    rounded = f"{100 * count / n:.0f} %"
+    return f"{count} of {n}" if (rounded == "100 %" and count < n) or (rounded == "0 %" and count) else rounded
 
 
 def _millimetres(value_m: float) -> str:
     value_mm = 1e3 * value_m
+    if value_mm < NOTHING_MM:
+        return "0"
     return f"{value_mm:.4g}" if value_mm < NEVER_MM else "diverged"
 
 

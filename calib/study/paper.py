@@ -13,7 +13,7 @@ import rigs
 from calib.study.errors import StudyError
 from calib.study.folder import make_folder, write_whole
 from calib.study.library import find_study
-from calib.study.pages import QUICK, STAND_IN, study_page, terminal_page
+from calib.study.pages import QUICK, STAND_IN, printed_beside_ours, study_page, terminal_page
 from calib.study.parameters import parameters_page
 from calib.study.plots import draw_study
 from calib.study.published import Published
@@ -21,6 +21,14 @@ from calib.study.run import FinishedStudy, quickened, run_study
 from calib.study.workers import Workers
 
 STUDY_OF = {"table1": "table2", "table2": "table2", "table3": "table3", "fig3": "table3", "fig4": "fig4"}
+TITLES = {
+    "all": "The paper's tables and figures",
+    "table1": "Table I: parameters of the simulations",
+    "table2": "Table II: simulated measurements",
+    "table3": "Table III: the published measurements",
+    "fig3": "Figure 3: errors of the microphones on the published measurements, and where they are found in space",
+    "fig4": "Figure 4: error against the number of poses",
+}
 MEASURED = ("table3", "fig3", "fig4")  # made of the published measurements, so not without them
 LEFT_OUT = (
     "table3, fig3 and fig4 are left out: they need the published measurements, give their folder with --published"
@@ -49,7 +57,7 @@ def make_items(
     for note in notes:
         console.print(f"! {note}", soft_wrap=True)
     done: dict[str, FinishedStudy] = {}
-    pages = [_head("The paper's tables and figures" if all_of_them else items[0], notes)]
+    pages: list[str] = []
     for item in items:
         names = [f"{STUDY_OF[item]}-{protocol}" for protocol in protocols]
         if item == "table1":
@@ -62,6 +70,8 @@ def make_items(
                 continue
             done[name] = run_study(find_study(name), output / name, published, workers, console, quick=quick)
             pages.append(finish(done[name], console, STUDY_OF[item]))
+    short = printed_beside_ours([(name, STUDY_OF[name.partition("-")[0]], each) for name, each in done.items()])
+    pages.insert(0, "\n".join([_head(TITLES["all" if all_of_them else items[0]], notes), *short]))
     page = output / ("report.md" if all_of_them else f"{items[0]}.md")
     write_whole(page, "\n".join(pages).encode())
     if items[0] == "table1" and not all_of_them:

@@ -9,14 +9,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from calib.study.description import PublishedPoses, StudyDescription
+from calib.study.errors import EndedError
 from calib.study.folder import StudyFolder
 from calib.study.part import Part, parts_of, solve_part
 from calib.study.published import Published
 from calib.study.scene import Scene, cases, make_scene
 from calib.study.summary import CaseSummary, summarise, summary_csv
-from calib.study.workers import Workers, compute
+from calib.study.workers import Workers, compute, ended_by_sigterm
 
-QUICK_REPETITIONS, QUICK_SIZES = 1, 2
+QUICK_REPETITIONS = 1
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class FinishedStudy:
         By the number of the case.
     summaries : list of CaseSummary
     quick : bool
-        A few repetitions only.
+        As `quickened`.
     stand_in : bool
         It takes stand-ins for the published poses.
     """
@@ -51,11 +52,11 @@ def run_study(
     *,
     quick: bool = False,
 ) -> FinishedStudy:
-    """Compute what is not there yet, and put the tables together; `quick`: with a few repetitions only.
+    """Compute what is not there yet, and put the tables together; `quick`: as `quickened`.
 
     Raises
     ------
-    StudyError, FolderError, DiskError, ClusterError
+    StudyError, FolderError, DiskError, ClusterError, EndedError
     """
     study = quickened(study) if quick else study
     scenes = [(case, make_scene(study, case, published)) for case in cases(study)]
@@ -75,11 +76,11 @@ def run_study(
 
 
 def quickened(study: StudyDescription) -> StudyDescription:
-    """Return a study that is over in seconds: a few repetitions, a few numbers of poses."""
+    """Return a study that is over in seconds: one repetition, and three numbers of poses at most."""
     runs = tuple(
         run.model_copy(
             update={
-                "n_poses": run.n_poses[:: max(len(run.n_poses) // QUICK_SIZES, 1)],
+                "n_poses": _some(run.n_poses),
                 "repetitions": min(run.repetitions or study.repetitions, QUICK_REPETITIONS),
             }
         )
@@ -88,11 +89,20 @@ def quickened(study: StudyDescription) -> StudyDescription:
     return study.model_copy(update={"repetitions": min(study.repetitions, QUICK_REPETITIONS), "runs": runs})
 
 
+def _some(sizes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the smallest, the largest and one between, in the order given."""
+    ordered = sorted(sizes)
+    chosen = {ordered[0], ordered[len(ordered) // 2], ordered[-1]} if sizes else set()
+    return tuple(size for size in sizes if size in chosen)
+
+
 def _compute_missing(
     folder: StudyFolder, missing: list[Part], scenes: dict[int, Scene], workers: Workers, console: Console
 ) -> None:
     total = sum(len(part.repetitions) for part in folder.parts)
     left = sum(len(part.repetitions) for part in missing)
+    if left < total:
+        console.print(f"Going on: {total - left} of {total} repetitions are there.")
     with _progress(console) as progress:
         bar = progress.add_task(folder.study.name, total=total, completed=total - left)
 
@@ -100,7 +110,12 @@ def _compute_missing(
             folder.write_part(missing[index], columns)  # type: ignore[arg-type]
             progress.advance(bar, len(missing[index].repetitions))
 
-        compute(solve_part, [(scenes[part.case.number], part.repetitions) for part in missing], workers, done)
+        arguments = [(scenes[part.case.number], part.repetitions) for part in missing]
+        try:
+            with ended_by_sigterm():
+                compute(solve_part, arguments, workers, done)
+        except KeyboardInterrupt as error:
+            raise EndedError("interrupted: run the same command again to go on; finished parts are kept") from error
 
 
 def _progress(console: Console) -> Progress:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import logging
 import os
 import re
+import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -27,6 +29,7 @@ WAITING_PER_WORKER = 4  # parts sent ahead: enough to keep workers busy, few eno
 ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": 2**28,
     "MALLOC_MMAP_THRESHOLD_": 2**25,
+    "DASK_LOGGING__DISTRIBUTED": "critical",  # what ends early is told in one line here
     **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1),
 }
 
@@ -85,6 +88,35 @@ def compute(
 
 
 @contextmanager
+def ended_by_sigterm() -> Iterator[None]:
+    """Take SIGTERM as Ctrl-C: what was finished stays, and processes are ended in order."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _children_deaf_to_ctrl_c() -> Iterator[None]:
+    """Block SIGINT in what is started here: a terminal sends it to all, and only this process is to answer."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing.resource_tracker import ensure_running  # noqa: PLC0415 (only needed here)
+
+    ensure_running()  # it would unblock SIGINT again
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
 def _client(workers: Workers) -> Iterator[Any]:
     import dask  # noqa: PLC0415 (slow to import, and optional)
     from distributed import Client, LocalCluster  # noqa: PLC0415
@@ -100,14 +132,16 @@ def _client(workers: Workers) -> Iterator[Any]:
         }
         stack.enter_context(dask.config.set(settings))
         if workers.cluster is None:
-            local = LocalCluster(
-                n_workers=workers.number,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                memory_limit=0,
-                dashboard_address="127.0.0.1:0",  # what is left of it: a port that cannot be taken
-                scheduler_kwargs={"dashboard": False},
-            )
+            with _children_deaf_to_ctrl_c():
+                local = LocalCluster(
+                    n_workers=workers.number,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                    dashboard_address="127.0.0.1:0",  # what is left of it: a port that cannot be taken
+                    scheduler_kwargs={"dashboard": False},
+                )
             stack.callback(local.close)
             yield stack.enter_context(Client(local))
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -45,8 +46,9 @@ def command(
     """Locate the sounds of SESSION with a calibrated array, and compare with where the camera saw the buzzers.
 
     Only poses that the calibration has not used are verified. Writes figures, pictures and a film into SESSION.verify.
-    Neither session nor calibration is changed. Exit codes: 0 passed, 2 usage or an unfit calibration file, 5 failed, or
-    a session missing, damaged or not good enough, 130 interrupted.
+    Neither session nor calibration is changed. Exit codes: 0 passed (of motions: unless a line with ? says that it is
+    not told), 2 usage, an unfit calibration file or a full disk, 5 failed, or a session missing, damaged or not good
+    enough, 130 interrupted.
     """
     from rich.console import Console  # heavy parts are imported only when there is work to do
     from rich.markup import escape
@@ -71,7 +73,8 @@ def command(
 
         verification = verify(opened, array, Limits(limit_deg, limit_moved_mm / 1e3), tell)
         codec = write_folder(verification, opened, folder, overwrite=overwrite, tell=tell)
-    show(verification, folder, codec, console)
+    with suppress(SystemExit):  # rich ends the program where nobody reads on, as after `| head -1`
+        show(verification, folder, codec, console)
     return 0 if verification.verdict.passed else FAILED
 
 

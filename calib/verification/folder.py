@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calib.outputs import check_writable
 from calib.verification.film import write_film
 from calib.verification.movement import WHOLE_ARRAY
-from calib.verification.overlay import BAR_PX, BASE_WIDTH_PX, overlay
+from calib.verification.overlay import bar_px, overlay
 from calib.verification.pipeline import Verification
 from calib.verification.statistics import Spread, spreads
 from rigs import __version__
@@ -22,7 +22,7 @@ from rigs.errors import TargetError, TargetExistsError
 from rigs.geometry import CAMERA_FRAME
 from rigs.session.picture import encode
 from rigs.session.reader import Session
-from rigs.target import whole_folder
+from rigs.target import no_folder, whole_folder
 
 Picture = NDArray[np.uint8]
 
@@ -39,7 +39,7 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     TargetError
     """
     if folder.name in ("", "..") or not folder.parent.is_dir():
-        raise TargetError(f"{folder}: there is no folder {folder.parent}: make it first, or name another")
+        raise TargetError(no_folder(folder))
     check_writable(folder.parent)
     if not (folder.exists() or folder.is_symlink()):
         return
@@ -62,9 +62,7 @@ def write_folder(
     Raises
     ------
     TargetError
-        Something of this name is there.
-    OSError
-        The folder cannot be written to.
+        Something of this name is there, or the folder cannot be written to.
     """
     check_folder(folder, overwrite=overwrite)
     with whole_folder(folder, replace=overwrite) as unfinished:
@@ -77,6 +75,7 @@ def write_folder(
 def as_document(verification: Verification, codec: str | None) -> dict[str, Any]:
     """Return the verification as plain values."""
     verdict, movement, calibration = verification.verdict, verification.movement, verification.calibration
+    untold = movement.unseen(verdict.limits.moved_m)
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -87,6 +86,7 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "limits": asdict(verdict.limits),
         "session": verification.session_name,
         "calibration": {
+            "file": calibration.name,
             "method": calibration.method,
             "sessions": [{"name": name, "sha256": sha256} for sha256, name in calibration.sessions.items()],
             "made_again_without_these_poses": verification.made_again,
@@ -97,9 +97,15 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "n_located": int(verification.located.found.sum()),
         "errors": {spread.name: _figures(spread) for spread in spreads(verification)},
         "movement": {
-            "told": not movement.doubt,
-            **({"why_not": movement.doubt} if movement.doubt else {}),
-            "smallest_told_m": None if movement.doubt else float(f"{movement.resolution_m:.3g}"),
+            "told": not untold,
+            **({"why_not": untold} if untold else {}),
+            "smallest_told_m": float(f"{movement.resolution_m:.3g}") if movement.resolutions_m else None,
+            "smallest_told_by_channel_m": {
+                int(channel): float(f"{resolution_m:.3g}") for channel, resolution_m in movement.resolutions_m.items()
+            },
+            "unchecked_channels": list(verification.unchecked),
+            "swapped_channels": [list(pair) for pair in movement.swapped],
+            "another_rig": movement.is_foreign(verdict.limits.moved_m),
             "moved": [
                 {
                     "what": "array" if motion.channel == WHOLE_ARRAY else int(motion.channel),
@@ -158,8 +164,7 @@ def _write_pictures(
     tell("drawing the film")
     scenes = _spread(len(verification.row), MAX_SCENES)
     width, height = verification.size_px
-    bar = 2 * round(BAR_PX * width / BASE_WIDTH_PX / 2)
-    return write_film(folder / FILM, _scenes(verification, session, scenes), (width, height + bar))
+    return write_film(folder / FILM, _scenes(verification, session, scenes), (width, height + bar_px(width)))
 
 
 def _scenes(verification: Verification, session: Session, scenes: NDArray[np.intp]) -> Iterator[Picture]:

@@ -7,18 +7,19 @@ does: what differs by more than both uncertainties is explained by as few motion
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import View
-from calib.comparison import Comparison, Fit, compare
+from calib.comparison import MIN_MICS, Comparison, Fit, compare, contradiction_of, swapped_rows
 from calib.corners import PoseCorners
 from calib.emissions import EmissionTdoas
 from calib.errors import NotConvergedError, NotEnoughDataError
-from calib.joint.assemble import assemble
+from calib.joint.assemble import arrival_table, assemble
 from calib.joint.robust import solve_robustly
+from calib.joint.session import refined_view
 from calib.joint.uncertainty import shared_covariance
 from calib.result_file import StoredCalibration
 from rigs.description import RigDescription
@@ -81,21 +82,54 @@ class MovementCheck:
     ----------
     motions : list of Motion
         Empty where nothing did.
-    resolution_m : float
-        The shift of a single microphone, in its worst direction, that is as long as three standard deviations; NaN
-        where the session cannot tell.
+    resolutions_m : dict of int to float
+        By input channel: the shift of that microphone alone, in its least visible direction, that is as long as three
+        standard deviations; empty where the session cannot tell.
+    swapped : list of (int, int)
+        Channels whose microphones have exchanged places exactly: plugs, not microphones, were moved.
+    contradiction : str
+        What speaks for another rig's calibration; empty where nothing does.
+    contradiction_m : float
+        How far microphones stand from where it has them, what is explained taken out.
     doubt : str
         Why the session cannot tell, and what would; empty where it can.
     """
 
     motions: list[Motion]
-    resolution_m: float
+    resolutions_m: dict[int, float]
+    swapped: list[tuple[int, int]] = field(default_factory=list)
+    contradiction: str = ""
+    contradiction_m: float = 0.0
     doubt: str = ""
 
     @classmethod
     def untold(cls, doubt: str) -> MovementCheck:
         """Return the check of a session that cannot tell."""
-        return cls([], float("nan"), doubt)
+        return cls([], {}, doubt=doubt)
+
+    @property
+    def resolution_m(self) -> float:
+        """That of the least visible microphone; NaN where the session cannot tell."""
+        return max(self.resolutions_m.values(), default=float("nan"))
+
+    def unseen(self, limit_m: float) -> str:
+        """Say why it is not told whether something moved by more than a limit; empty where it is."""
+        if self.doubt:
+            return self.doubt
+        if self.motions_beyond(limit_m) or self.is_foreign(limit_m) or self.resolution_m <= limit_m:
+            return ""
+        return (
+            f"a microphone could have moved by up to {1e3 * self.resolution_m:.1f} mm unseen, the limit is "
+            f"{1e3 * limit_m:g} mm; more poses or less noise help"
+        )
+
+    def is_foreign(self, limit_m: float) -> bool:
+        """Whether this looks like another rig's calibration, by more than a limit."""
+        return bool(self.contradiction) and self.contradiction_m > limit_m
+
+    def motions_beyond(self, limit_m: float) -> list[Motion]:
+        """Return what moved farther than a limit."""
+        return [motion for motion in self.motions if motion.farthest_m > limit_m]
 
 
 def check_movement(
@@ -117,17 +151,28 @@ def check_movement(
     corners : PoseCorners
     tdoas : EmissionTdoas
     """
+    calibration = _of_heard_channels(calibration, description, view, tdoas)
+    if len(calibration.channels) < MIN_MICS:
+        return MovementCheck.untold(f"fewer than {MIN_MICS} of its microphones heard anything")
     try:
-        now_m, covariance = _placed_anew(calibration, description, view, corners, tdoas)
+        now = _placed_anew(calibration, description, view, corners, tdoas)
     except (NotEnoughDataError, NotConvergedError):
-        return MovementCheck.untold("too few or too similar poses to place the microphones anew; more poses help")
-    now = replace(calibration, positions_m=now_m, array_covariance_m2=covariance)
-    resolution_m = _resolution_m(calibration.array_covariance_m2 + covariance)
-    if resolution_m > 3 * MAX_STD_M:
         return MovementCheck.untold(
-            f"it would miss a microphone that moved by {1e3 * resolution_m:.0f} mm; more poses help"
+            "the microphones could not be placed anew: the poses are too few or too similar, or this is another rig's "
+            "calibration"
         )
-    return MovementCheck(motions_of(compare(calibration, now)), resolution_m)
+    resolutions_m = _resolutions_m(calibration, calibration.array_covariance_m2 + now.array_covariance_m2)
+    worst_m = max(resolutions_m.values())
+    if worst_m > 3 * MAX_STD_M:
+        return MovementCheck.untold(
+            f"it would miss a microphone that moved by {1e3 * worst_m:.0f} mm; more poses or less noise help"
+        )
+    comparison = compare(calibration, now)
+    swapped = [
+        (calibration.channels[first], calibration.channels[second]) for first, second in swapped_rows(comparison)
+    ]
+    apart_m = float(np.linalg.norm(comparison.best.shifts_m, axis=1).max())
+    return MovementCheck(motions_of(comparison), resolutions_m, swapped, contradiction_of(comparison), apart_m)
 
 
 def motions_of(comparison: Comparison) -> list[Motion]:
@@ -149,7 +194,13 @@ def _placed_anew(
     view: View,
     corners: PoseCorners,
     tdoas: EmissionTdoas,
-) -> tuple[FloatArray, FloatArray]:
+) -> StoredCalibration:
+    """Return the calibration as this session alone would have it, but for the speed of sound.
+
+    Raises
+    ------
+    CalibrationError
+    """
     camera = description.camera.model_copy(update={"intrinsics": calibration.intrinsics})
     audio = description.audio.model_copy(update={"reference_microphone": None})
     description = description.model_copy(update={"camera": camera, "audio": audio})
@@ -157,7 +208,21 @@ def _placed_anew(
     solution = solve_robustly(problem, guess.placed(calibration.positions_m))
     covariance = shared_covariance(problem, solution.at, solution.weights())
     size = 3 * len(calibration.channels)
-    return solution.at.microphones_m, covariance[:size, :size]
+    return replace(
+        calibration,
+        positions_m=solution.at.microphones_m,
+        array_covariance_m2=covariance[:size, :size],
+        intrinsics=refined_view(view, solution).intrinsics,
+    )
+
+
+def _of_heard_channels(
+    calibration: StoredCalibration, description: RigDescription, view: View, tdoas: EmissionTdoas
+) -> StoredCalibration:
+    """Leave out microphones that heard nothing: nobody can say where these are."""
+    arrival_s = arrival_table(description, view, tdoas, calibration.channels).arrival_s
+    heard = np.isfinite(arrival_s).any(axis=0)
+    return calibration.only(tuple(np.array(calibration.channels)[heard].tolist()))
 
 
 def _own_motion(best: Fit, row: int, channel: int) -> Motion:
@@ -169,8 +234,11 @@ def _own_motion(best: Fit, row: int, channel: int) -> Motion:
     return Motion(channel, shift_m, np.linalg.inv(information[-3:, -3:]), 0.0, float(np.linalg.norm(shift_m)))
 
 
-def _resolution_m(covariance_m2: FloatArray) -> float:
-    """Return three standard deviations of the worst microphone in its worst direction, were it alone to move."""
+def _resolutions_m(calibration: StoredCalibration, covariance_m2: FloatArray) -> dict[int, float]:
+    """Return three standard deviations of each microphone in its worst direction, were it alone to move."""
     information = np.linalg.inv(covariance_m2)
     blocks = [information[start : start + 3, start : start + 3] for start in range(0, len(information), 3)]
-    return float(3 / np.sqrt(min(np.linalg.eigvalsh(block)[0] for block in blocks)))
+    return {
+        channel: float(3 / np.sqrt(np.linalg.eigvalsh(block)[0]))
+        for channel, block in zip(calibration.channels, blocks, strict=True)
+    }

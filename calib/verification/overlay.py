@@ -15,11 +15,15 @@ Picture = NDArray[np.uint8]
 
 # OpenCV's order: blue, green, red
 SEEN, LOCATED, PLAIN, DARK = (255, 255, 255), (80, 255, 80), (230, 230, 230), (24, 24, 24)
+GOOD, BAD = (120, 220, 120), (110, 110, 255)
 HEAT_FROM = 0.5  # of the highest power: what is lower is left as the photo has it
-HEAT_OPACITY = 0.85
+LEVEL_RANGE_DB = -10 * float(np.log10(HEAT_FROM))
+HEAT_OPACITY = 0.45  # the buzzer itself must be seen through it
 PHOTO_BRIGHTNESS = 0.7
 BASE_WIDTH_PX = 1280.0  # what sizes below are meant for
-ZOOM, INSET_PX, INSET_RING_PX, BAR_PX = 5, 220, 2, 34
+ZOOM, INSET_PX, INSET_RING_PX = 5, 220, 2
+BAR_PX, BAR_LINES = 78, 3  # of words below the picture
+LETTER_PX = 9.0  # of a line of words, each, on average
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SUBPIXEL_BITS = 4
 
@@ -59,16 +63,20 @@ def overlay(photo: Picture, verification: Verification, emissions: NDArray[np.in
         _mark(picture, verification, int(number), ink)
     if len(emissions) == 1:
         _inset(picture, plain, verification, int(emissions[0]), ink)
-    return _with_bar(picture, _caption(verification, emissions), ink)
+    return _with_bar(picture, verification, _caption(verification, emissions), ink)
 
 
 def _with_heat(picture: Picture, power: Picture) -> Picture:
     size = (picture.shape[1], picture.shape[0])
     shares = np.asarray(cv2.resize(power.astype(np.float32) / 255, size, interpolation=cv2.INTER_CUBIC))
-    share = np.clip((shares - HEAT_FROM) / (1 - HEAT_FROM), 0.0, 1.0)
-    colours = cv2.applyColorMap((255 * (0.25 + 0.75 * share)).astype(np.uint8), cv2.COLORMAP_INFERNO)
+    share = np.clip(10 * np.log10(np.maximum(shares, HEAT_FROM)) / LEVEL_RANGE_DB + 1, 0.0, 1.0)
     opacity = (HEAT_OPACITY * np.sqrt(share))[..., None]
-    return np.asarray((1 - opacity) * picture + opacity * colours, dtype=np.uint8)
+    return np.asarray((1 - opacity) * picture + opacity * _colours(share), dtype=np.uint8)
+
+
+def _colours(share: FloatArray) -> Picture:
+    """Return colours (height, width, 3) of a level, 0 at its lowest and 1 at its highest."""
+    return np.asarray(cv2.applyColorMap((255 * (0.25 + 0.75 * share)).astype(np.uint8), cv2.COLORMAP_INFERNO))
 
 
 def _mark(picture: Picture, verification: Verification, number: int, ink: _Ink) -> None:
@@ -77,7 +85,8 @@ def _mark(picture: Picture, verification: Verification, number: int, ink: _Ink) 
     _ring(picture, comparison.seen_px[number], 13 * ink.scale, ink.line)
     if np.isfinite(comparison.located_px[number]).all():
         _cross(picture, comparison.located_px[number], 8 * ink.scale, ink.line)
-    beside = comparison.seen_px[number] + ink.scale * np.array([16.0, -10.0])
+    to_the_right = comparison.located_px[number, 0] > comparison.seen_px[number, 0]
+    beside = comparison.seen_px[number] + ink.scale * np.array([-26.0 if to_the_right else 16.0, -10.0])
     ink.text(picture, str(verification.buzzer[number]), (beside[0], beside[1]), SEEN)
 
 
@@ -126,15 +135,58 @@ def _caption(verification: Verification, emissions: NDArray[np.intp]) -> str:
     return f"pose {pose}, {who}: {median}{error_px:.2f} px, {error_deg:.3f} deg, {apart_mm:.2f} mm in space"
 
 
-def _with_bar(picture: Picture, caption: str, ink: _Ink) -> Picture:
-    """Add a line of words below: what is shown, and what the marks mean."""
-    height = 2 * round(BAR_PX * ink.scale / 2)
-    bar = np.full((height, picture.shape[1], 3), DARK, dtype=np.uint8)
-    line = 0.66 * height
-    ink.text(bar, caption, (12 * ink.scale, line), PLAIN)
-    width = picture.shape[1]
-    _ring(bar, np.array([width - 400 * ink.scale, height / 2]), 8 * ink.scale, ink.line)
-    ink.text(bar, "seen by the camera", (width - 384 * ink.scale, line), SEEN)
-    _cross(bar, np.array([width - 190 * ink.scale, height / 2]), 7 * ink.scale, ink.line)
-    ink.text(bar, "located by sound", (width - 174 * ink.scale, line), LOCATED)
+def _with_bar(picture: Picture, verification: Verification, caption: str, ink: _Ink) -> Picture:
+    """Add lines of words below: what is shown and what the marks mean, of what, and the verdict."""
+    height, width = bar_px(picture.shape[1]), picture.shape[1]
+    bar = np.full((height, width, 3), DARK, dtype=np.uint8)
+    lines = [(number + 0.68) * height / BAR_LINES for number in range(BAR_LINES)]
+    left = 12 * ink.scale
+    ink.text(bar, caption, (left, lines[0]), PLAIN)
+    _legend(bar, lines[0], ink)
+    of = f"session {verification.session_name}, calibration {verification.calibration.name}"
+    ink.text(bar, _shortened(of, 0.7 * width / ink.scale), (left, lines[1]), PLAIN)
+    if verification.maps is not None:
+        _scale(bar, lines[1], ink)
+    verdict = _shortened(_verdict(verification), width / ink.scale)
+    ink.text(bar, verdict, (left, lines[2]), GOOD if verification.verdict.passed else BAD)
     return np.vstack([picture, bar])
+
+
+def bar_px(width_px: int) -> int:
+    """Return the height of the words below a picture of some width; even, as a film needs it."""
+    return 2 * round(BAR_PX * width_px / BASE_WIDTH_PX / 2)
+
+
+def _legend(bar: Picture, line: float, ink: _Ink) -> None:
+    width, middle = bar.shape[1], line - 5 * ink.scale
+    _ring(bar, np.array([width - 540 * ink.scale, middle]), 8 * ink.scale, ink.line)
+    ink.text(bar, "computed: corners + rig description", (width - 526 * ink.scale, line), SEEN)
+    _cross(bar, np.array([width - 190 * ink.scale, middle]), 7 * ink.scale, ink.line)
+    ink.text(bar, "located by sound", (width - 174 * ink.scale, line), LOCATED)
+
+
+def _scale(bar: Picture, line: float, ink: _Ink) -> None:
+    """Draw what the map's colours mean, as opaque as they are there."""
+    right, wide, high = bar.shape[1] - round(60 * ink.scale), round(120 * ink.scale), round(12 * ink.scale)
+    top = round(line) - high
+    levels = np.tile(np.linspace(0.0, 1.0, wide), (high, 1))
+    bar[top : top + high, right - wide : right] = _colours(levels)
+    ink.text(bar, f"map: -{LEVEL_RANGE_DB:.0f} dB", (right - wide - 106 * ink.scale, line), PLAIN)
+    ink.text(bar, "0 dB", (right + 8 * ink.scale, line), PLAIN)
+
+
+def _verdict(verification: Verification) -> str:
+    """Say the verdict of the whole session in one line."""
+    verdict, movement = verification.verdict, verification.movement
+    if verdict.failures:
+        return f"FAIL {verdict.failures[0]}"
+    if movement.unseen(verdict.limits.moved_m):
+        return "PASS for the sounds; whether the array has moved is not told"
+    return f"PASS, and nothing has moved by more than {1e3 * verdict.limits.moved_m:g} mm"
+
+
+def _shortened(words: str, room_px: float) -> str:
+    """Cut words to what fits a line; OpenCV's letters are of ASCII alone."""
+    words = words.encode("ascii", "replace").decode()
+    most = int(room_px / LETTER_PX)
+    return words if len(words) <= most else f"{words[: most - 3]}..."

@@ -55,6 +55,8 @@ class Verification:
         One for each emission; None where the session has no sound.
     movement : MovementCheck
     verdict : Verdict
+    unchecked : list of int
+        Channels of the session whose microphones the calibration lacks, or which heard nothing.
     warnings : list of str
     """
 
@@ -70,6 +72,7 @@ class Verification:
     maps: list[ResponseMap] | None
     movement: MovementCheck
     verdict: Verdict
+    unchecked: list[int]
     warnings: list[str]
 
     @property
@@ -134,6 +137,7 @@ def verify(
         maps,
         movement,
         judge(located, comparison, movement, limits),
+        _unchecked(calibration, description, movement),
         [*corners.warnings, *tdoas.warnings, *_name_doubts(session, calibration, made_again=made_again)],
     )
 
@@ -203,6 +207,11 @@ def _maps(
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # the FFT lets other threads run meanwhile
         return list(pool.map(mapped, range(len(rows))))
+
+
+def _unchecked(calibration: StoredCalibration, description: RigDescription, movement: MovementCheck) -> list[int]:
+    checked = movement.resolutions_m or calibration.channels
+    return [channel for channel in description.audio.channels if channel not in checked]
 
 
 def _name_doubts(session: Session, calibration: StoredCalibration, *, made_again: bool) -> list[str]:

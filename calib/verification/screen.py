@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,8 @@ def show(verification: Verification, folder: Path, codec: str | None, console: C
     _show_verdict(verification, console)
     console.print(_origin(verification), soft_wrap=False)
     console.print(_error_table(verification))
-    console.print(_movement(verification))
+    for line in _movement(verification):
+        console.print(line)
     for warning in verification.warnings:
         console.print(_line("!", "bold yellow", warning))
     film = f", film {FILM} ({codec})" if codec else ""
@@ -49,11 +51,11 @@ def _show_verdict(verification: Verification, console: Console) -> None:
 
 
 def _unmoved(verification: Verification) -> str:
-    if verification.movement.doubt:
+    movement, limit_m = verification.movement, verification.verdict.limits.moved_m
+    if movement.unseen(limit_m):
         return ""
-    if verification.movement.motions:
-        return f", and nothing has moved by more than {1e3 * verification.verdict.limits.moved_m:g} mm"
-    return ", and the array has not moved"
+    checked = f"none of the {len(movement.resolutions_m)} microphones checked" if verification.unchecked else "nothing"
+    return f", and {checked} has moved by more than {1e3 * limit_m:g} mm"
 
 
 def _origin(verification: Verification) -> Text:
@@ -88,17 +90,36 @@ def _cells(spread: Spread) -> list[str]:
     ]
 
 
-def _movement(verification: Verification) -> Table:
-    movement, limit_mm = verification.movement, 1e3 * verification.verdict.limits.moved_m
-    if movement.doubt:
-        return _line("?", "bold yellow", f"whether the array has moved since is not told: {movement.doubt}")
-    resolved = f"a microphone that moved alone would show from {1e3 * movement.resolution_m:.1f} mm on"
+def _movement(verification: Verification) -> Iterator[Table]:
+    """Say what no verdict has said: what is not told, what moved a little, what would show, who was not asked."""
+    movement, limit_m = verification.movement, verification.verdict.limits.moved_m
+    if untold := movement.unseen(limit_m):
+        yield _line("?", "bold yellow", f"whether the array has moved since is not told: {untold}")
     slight = [motion.sentence() for motion in movement.motions if motion not in verification.verdict.alarms]
-    if slight:
-        return _line("!", "bold yellow", f"moved, but by less than {limit_mm:g} mm: {'; '.join(slight)}")
-    if verification.verdict.alarms:
-        return _line("", "", resolved)
-    return _line("", "", f"no microphone has moved; {resolved}")
+    if slight and not movement.is_foreign(limit_m):
+        yield _line("!", "bold yellow", f"moved, but by less than {1e3 * limit_m:g} mm: {'; '.join(slight)}")
+    if movement.resolutions_m and not movement.is_foreign(limit_m):
+        yield _line("", "", _shows_from(movement.resolutions_m))
+    if verification.unchecked:
+        yield _line("!", "bold yellow", _unchecked(verification.unchecked))
+
+
+def _shows_from(resolutions_m: dict[int, float]) -> str:
+    """Say from where on a motion shows, for the microphones that show it best and worst."""
+    best, worst = (choose(resolutions_m, key=lambda channel: resolutions_m[channel]) for choose in (min, max))
+    return (
+        f"a microphone that moved alone would show from {1e3 * resolutions_m[best]:.2g} mm (microphone {best}) to "
+        f"{1e3 * resolutions_m[worst]:.2g} mm (microphone {worst}) on, in the direction that shows least"
+    )
+
+
+def _unchecked(channels: list[int]) -> str:
+    names = ", ".join(map(str, channels))
+    return (
+        f"channel {names}: not checked, as the calibration lacks it or it heard nothing"
+        if len(channels) == 1
+        else f"channels {names}: not checked, as the calibration lacks them or they heard nothing"
+    )
 
 
 def _line(sign: str, style: str, text: str) -> Table:

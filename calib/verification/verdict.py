@@ -11,6 +11,7 @@ from calib.verification.location import Located
 from calib.verification.movement import Motion, MovementCheck
 
 MIN_LOCATED_SHARE = 0.8
+FAR_BESIDE_DEG = 1.0  # no array that only aged is that far off
 
 
 @dataclass(frozen=True)
@@ -53,10 +54,29 @@ class Verdict:
 
 def judge(located: Located, comparison: Comparison, movement: MovementCheck, limits: Limits) -> Verdict:
     """Hold errors and motions against the limits."""
+    alarms = movement.motions_beyond(limits.moved_m)
+    failures = [*_motion_failures(movement, limits, alarms), *_sound_failures(located, comparison, limits)]
+    return Verdict(limits, failures, alarms)
+
+
+def _motion_failures(movement: MovementCheck, limits: Limits, alarms: list[Motion]) -> list[str]:
+    """Say what moved, or that the calibration is not of this array at all."""
+    if movement.is_foreign(limits.moved_m):
+        why = (
+            "this looks like another rig's calibration, or most microphones have moved by themselves (then calibrate "
+            f"again). What contradicts it: {movement.contradiction}"
+        )
+        return [why]
+    exchanged = {channel for pair in movement.swapped for channel in pair}
+    found = [f"channels {first} and {second} look swapped: their microphones have exchanged places exactly; check the "
+             "plugs" for first, second in movement.swapped]  # fmt: skip
+    moved = [motion.sentence() for motion in alarms if motion.channel not in exchanged]
+    return [*found, "array moved: " + "; ".join(moved)] if moved else found
+
+
+def _sound_failures(located: Located, comparison: Comparison, limits: Limits) -> list[str]:
+    """Say how many sounds could not be located, and how far beside their buzzers the others lie."""
     failures = []
-    alarms = [motion for motion in movement.motions if motion.farthest_m > limits.moved_m]
-    if alarms:
-        failures.append("array moved: " + "; ".join(motion.sentence() for motion in alarms))
     share = float(located.found.mean())
     if share < MIN_LOCATED_SHARE:
         failures.append(
@@ -65,9 +85,10 @@ def judge(located: Located, comparison: Comparison, movement: MovementCheck, lim
         )
     if located.found.any():
         median_deg = float(np.nanmedian(comparison.error_deg))
+        is_far = median_deg > FAR_BESIDE_DEG
         if not median_deg <= limits.error_deg:
             failures.append(
                 f"sounds lie {median_deg:.2f} degrees beside their buzzers in the median, the limit is "
-                f"{limits.error_deg:g}"
+                f"{limits.error_deg:g}{': is this the calibration of another rig?' if is_far else ''}"
             )
-    return Verdict(limits, failures, alarms)
+    return failures

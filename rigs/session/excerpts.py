@@ -25,6 +25,8 @@ class Excerpt:
         Row of the session's audio where it begins.
     samples : (n_samples, n_channels) float32 array
         Full scale = 1.
+    n_missing : int
+        How many samples it is shorter than was asked for: the session reaches no further.
     """
 
     emission: int
@@ -33,6 +35,7 @@ class Excerpt:
     channels: tuple[int, ...]
     first_sample: int
     samples: NDArray[np.float32]
+    n_missing: int
 
     @property
     def name(self) -> str:
@@ -64,14 +67,15 @@ def cut(session: Session, emission: int, channels: tuple[int, ...], before_s: fl
     begins, rate_hz = int(row["expected_sample"]), session.sample_rate_hz
     if begins < 0:
         raise SessionError(f"{session.path}: when emission {emission} began was not recorded: nothing to cut")
-    first = max(0, begins - round(before_s * rate_hz))
-    end = begins + round((session.description.signal.waveform().duration_s + after_s) * rate_hz)
-    end = min(end, session.n_samples)
+    asked_first = begins - round(before_s * rate_hz)
+    asked_end = begins + round((session.description.signal.waveform().duration_s + after_s) * rate_hz)
+    first, end = max(0, asked_first), min(asked_end, session.n_samples)
     if first >= end:
         raise SessionError(f"{session.path}: the sound ends before emission {emission}: the session was cut off")
     samples = session.audio(first, end - first)[:, columns]
     chosen = tuple(session.channels[column] for column in columns)
-    return Excerpt(emission, int(row["pose"]), int(row["buzzer"]), chosen, first, samples)
+    n_missing = asked_end - asked_first - len(samples)
+    return Excerpt(emission, int(row["pose"]), int(row["buzzer"]), chosen, first, samples, n_missing)
 
 
 def check_emission(session: Session, emission: int) -> None:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigs.errors import RigError
+from rigs.errors import RigError, SessionError
 from rigs.target import session_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -65,7 +65,8 @@ def audio(
 
     WAV keeps every sample as it was recorded (32-bit float); FLAC has 24 bits. Nothing is written over.
 
-    Exit code: 0 good, 2 wrong usage, 3 no sound device to play on, 5 a bad file or no such emission.
+    Exit code: 0 good, 2 wrong usage or a disk that is full, 3 no sound device to play on, 5 a bad file or no such
+    emission.
     """
     from rigs.session.excerpts import check_emission, cut  # noqa: PLC0415 (keeps --help quick)
     from rigs.session.reader import Session  # noqa: PLC0415
@@ -100,19 +101,32 @@ def _write(
 
     if len(numbers) == 1:
         path = output or session.path.with_suffix(f".emission-{numbers[0]}.{form or 'wav'}")
-        form = form or format_of(path)
+        form = format_of(path, form)
         with whole_file(path) as unfinished:
-            write_sound(unfinished, excerpt_of(numbers[0]), session.sample_rate_hz, form)
-        click.echo(f"{path}: emission {numbers[0]}")
+            excerpt = excerpt_of(numbers[0])
+            write_sound(unfinished, excerpt, session.sample_rate_hz, form, path)
+        click.echo(f"{path}: emission {numbers[0]}{_shortage([excerpt.n_missing], session.sample_rate_hz)}")
         return
     folder = output or session.path.with_suffix(".audio")
     if folder.suffix.lower() in {f".{each}" for each in FORMATS}:
         raise RigError(f"{folder}: {len(numbers)} emissions make a file each: name a folder, or one --emission")
     with whole_folder(folder) as unfinished:
+        missing = []
         for number in numbers:
             excerpt = excerpt_of(number)
-            write_sound(unfinished / f"{excerpt.name}.{form or 'wav'}", excerpt, session.sample_rate_hz, form or "wav")
-    click.echo(f"{folder}: {len(numbers)} emissions, a file each")
+            name = f"{excerpt.name}.{form or 'wav'}"
+            write_sound(unfinished / name, excerpt, session.sample_rate_hz, form or "wav", folder / name)
+            missing.append(excerpt.n_missing)
+    click.echo(f"{folder}: {len(numbers)} emissions, a file each{_shortage(missing, session.sample_rate_hz)}")
+
+
+def _shortage(missing_samples: list[int], sample_rate_hz: float) -> str:
+    """Say that the session reaches less far than was asked for, if so."""
+    short = [n_samples for n_samples in missing_samples if n_samples]
+    if not short:
+        return ""
+    whose = "" if len(missing_samples) == 1 else f"{len(short)} of them "
+    return f"; {whose}up to {max(short) / sample_rate_hz:.2g} s shorter than asked for: the session reaches no further"
 
 
 def _play(excerpts: object, sample_rate_hz: float) -> None:
@@ -134,7 +148,8 @@ def _play(excerpts: object, sample_rate_hz: float) -> None:
 def frames(file: Path, frames: list[int] | None, poses: list[int] | None, output: Path | None) -> None:
     """Write the pictures of the session FILE as PNG, as the camera gave them.
 
-    Nothing is written over. Exit code: 0 good, 2 wrong usage, 5 a bad file or no such frame.
+    Nothing is written over. Exit code: 0 good, 2 wrong usage or a disk that is full, 5 a bad file, or no such
+    frame or pose.
     """
     from rigs.session.reader import Session  # noqa: PLC0415 (keeps --help quick)
     from rigs.target import whole_folder  # noqa: PLC0415
@@ -142,9 +157,8 @@ def frames(file: Path, frames: list[int] | None, poses: list[int] | None, output
     with Session.open(file) as session:
         of = [int(pose) for pose in session.frames["pose"]]
         numbers = list(range(len(of))) if frames is None else frames
-        absent = sorted(set(poses or ()) - set(of))
-        if absent:
-            raise RigError(f"{file}: pose {absent[0]} has no frame: choose among those of rig-session info")
+        _check_among(file, "pose", poses or [], of)
+        _check_among(file, "frame", numbers, range(len(of)))
         folder = output or file.with_suffix(".frames")
         with whole_folder(folder) as unfinished:
             n_written = 0
@@ -155,4 +169,13 @@ def frames(file: Path, frames: list[int] | None, poses: list[int] | None, output
                     n_written += 1
             if n_written == 0:
                 raise RigError(f"{file}: none of these frames: the session holds {len(of)}, of {len(set(of))} poses")
-    click.echo(f"{folder}: {n_written} frames")
+    click.echo(f"{folder}: {n_written} {'frame' if n_written == 1 else 'frames'}")
+
+
+def _check_among(file: Path, what: str, chosen: Sequence[int], present: Sequence[int]) -> None:
+    """Refuse a number that none of those present has."""
+    absent = sorted(set(chosen) - set(present))
+    if absent and present:
+        raise SessionError(
+            f"{file}: there is no {what} {absent[0]} with a picture: they go from {min(present)} to {max(present)}"
+        )

@@ -20,8 +20,8 @@ class SoundFormatError(RigError):
     """Sound cannot be written in the form that was asked for."""
 
 
-def format_of(path: Path) -> Format:
-    """Return the format that a file's ending names.
+def format_of(path: Path, asked: Format | None = None) -> Format:
+    """Return the format that a file's ending names, which must be the one that was asked for, if any was.
 
     Raises
     ------
@@ -29,12 +29,17 @@ def format_of(path: Path) -> Format:
     """
     for each in FORMATS:
         if path.suffix.lower() == f".{each}":
+            if asked not in (None, each):
+                raise SoundFormatError(
+                    f"{path}: a name for {each.upper()}, but --format {asked} was asked for: leave out --format, or "
+                    f"end the name with .{asked}"
+                )
             return each
     raise SoundFormatError(f"{path}: sound is written as .wav or .flac: end the name with one of them")
 
 
-def write_sound(path: Path, excerpt: Excerpt, sample_rate_hz: float, form: Format) -> None:
-    """Write an excerpt.
+def write_sound(path: Path, excerpt: Excerpt, sample_rate_hz: float, form: Format, named: Path) -> None:
+    """Write an excerpt; messages call the file `named`, since it may be written under another name first.
 
     Raises
     ------
@@ -56,5 +61,5 @@ def write_sound(path: Path, excerpt: Excerpt, sample_rate_hz: float, form: Forma
         soundfile.write(path, samples, round(sample_rate_hz), subtype=SUBTYPES[form], format=form.upper())
     except (soundfile.LibsndfileError, RuntimeError) as error:
         raise TargetError(
-            f"{path.name}: could not be written: free some space or choose another disk"  # libsndfile says no more
+            f"{named}: could not be written: free some space or choose another disk"  # libsndfile says no more
         ) from error
