@@ -12,7 +12,7 @@ from rigs.errors import TargetError, TargetExistsError, reason
 from rigs.target import check_target
 
 MARK = b"acoustic-camera-rig"  # somewhere in all that this software writes, but for NumPy's files
-_NUMPY, _LARGEST = b"\x93NUMPY", 50_000_000
+_NUMPY, _RESULT, _LARGEST = b"\x93NUMPY", b"format: acoustic-rig-calibration", 50_000_000
 
 
 def beside(result: Path, ending: str) -> Path:
@@ -91,5 +91,5 @@ def _hidden(path: Path, content: bytes, stack: ExitStack) -> Path:
 def _check_ours(path: Path) -> None:
     with path.open("rb") as stream:
         content = stream.read(_LARGEST)
-    if not content.startswith(_NUMPY) and MARK not in content:
+    if not content.startswith((_NUMPY, _RESULT)) and MARK not in content:
         raise TargetExistsError(f"{path}: not made by this software, so not written over: name another --output")

@@ -130,6 +130,7 @@ def test_a_loud_channel_is_named_and_the_session_goes_on(tmp_path):
 def test_a_silent_buzzer_is_fired_again_and_stored_as_not_accepted(tmp_path):
     listener = captured(tmp_path / "s.h5", with_fault("silent_buzzer", buzzer=7), poses=1)
     assert "buzzer 7: not heard, 3 times: check its cable and plug" in listener.warnings()
+    assert (listener.status.fired[7], listener.status.missed) == (2, {1: 0, 7: 2})
     with Session.open(tmp_path / "s.h5") as session:
         assert session.emissions[["buzzer", "accepted"]].tolist() == 2 * [(1, 1), (7, 0), (7, 0), (7, 0)]
         assert session.poses["accepted"].tolist() == [0, 1]  # one emission does not confirm the latency

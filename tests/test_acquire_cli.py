@@ -70,6 +70,18 @@ def test_the_next_command_can_be_copied_as_it_is(name, shown):
     assert cli_module._next_line(9, 3, cli_module._session_path(Path(name))) == f"next: rig-calibrate {shown}"
 
 
+def test_silent_channels_and_buzzers_are_told_at_the_end():
+    """The next command is one that will work: a silent channel is left out of it."""
+    status = Status("rig", "s.h5", (1, 2, 3), 6, 6, saved=6, faults={3: "silent", 1: "clipped"})
+    status.fired.update({1: 6, 2: 6})
+    status.missed.update({1: 1, 2: 6})
+    lines = cli_module._fault_lines(status)
+    assert next(line for line in lines if "buzzer" in line).startswith("warning: buzzer 2 was not heard 6 of 6 times")
+    assert len(lines) == 3
+    comes_next = cli_module._next_line(6, 3, Path("s.h5"), status.silent)
+    assert comes_next == "next: rig-calibrate s.h5 --exclude-channel 3"
+
+
 @pytest.mark.parametrize("name", ["two\nlines", "\x1b[31mred", "bad\udcff"])
 def test_a_name_that_cannot_be_shown_is_refused_in_one_line(tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from conftest import make_world, write_measured_session
 
+from calib.doubts import noise_doubts
+from calib.flaws import Flaws
 from calib.pipeline import calibrate
 from calib.result import Calibration
 from calib.settings import Settings
+from calib.sound import SoundArrivals
 from rigs.description import Medium, RigDescription
 from rigs.session.reader import Session
 
@@ -101,3 +104,26 @@ def test_absurd_tdoas_are_missing_ones(tmp_path, simulated_description):
     result = calibrated(write_measured_session(tmp_path / "s.h5", simulated_description, tdoa_s=tdoa_s))
     assert result.residual.n_used + result.residual.n_rejected == 12 * 6 * 28 - 2
     assert result.evaluation.rmse_m < 0.003
+
+
+def test_a_buzzer_that_was_never_heard_is_named(tmp_path, simulated_description):
+    path = write_measured_session(tmp_path / "s.h5", simulated_description)
+    with h5py.File(path, "r+") as file:
+        emissions = file["emissions"][:]
+        emissions["accepted"][emissions["buzzer"] == 2] = 0
+        emissions["accepted"][(emissions["buzzer"] == 5) & (emissions["pose"] < 6)] = 0
+        file["emissions"][:] = emissions
+    named = [warning for warning in calibrated(path).warnings if warning.startswith("buzzer")]
+    assert [warning.split(":")[0] for warning in named] == [
+        "buzzer 2 was heard in none of 12 poses",
+        "buzzer 5 was heard only 6 of its 12 times",
+    ]
+
+
+def test_a_noisy_channel_is_named():
+    std_s = np.full((6, 4), 1e-7)
+    std_s[:, 2] = 5e-7
+    flaws = Flaws(std_s.shape)
+    sound = SoundArrivals("matched", np.arange(6), (1, 2, 3, 4), np.zeros((6, 4)), std_s, flaws, np.ones(6))
+    (doubt,) = noise_doubts(sound)
+    assert doubt.startswith("channel 3 is noisy")

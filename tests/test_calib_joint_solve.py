@@ -1,6 +1,7 @@
 """The joint solve: its start, its accuracy against the bound, and what it withstands."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from calib.errors import NotEnoughDataError
 from calib.joint.bias import without_bias
 from calib.joint.descend import descend
 from calib.joint.pairs import arrivals_of_pairs
-from calib.joint.robust import JointSolution, solve_robustly
+from calib.joint.robust import JointSolution, _not_settled, solve_robustly
 from calib.joint.search import descend_together
 from calib.joint.start import closed_form, find_start, range_table
 from calib.joint.suspects import find_suspects
@@ -265,3 +266,9 @@ def test_given_start_does_not_matter():
     np.testing.assert_allclose(
         solve_robustly(problem, find_start(problem, guess, 0).at).at.microphones_m, near, atol=1e-6
     )
+
+
+def test_too_few_microphones_are_the_reason_where_nothing_settles():
+    for n_mics, words in ((2, "leave fewer channels out"), (8, "capture more")):
+        problem = SimpleNamespace(arrivals=SimpleNamespace(arrival_s=np.zeros((6, n_mics))))
+        assert words in str(_not_settled(100, problem))

@@ -1,6 +1,7 @@
 """The report: what it says, in Chromium and out of it, and the verdict."""
 
 import dataclasses
+import errno
 import json
 import re
 import warnings
@@ -14,6 +15,7 @@ from axe_playwright_python.sync_playwright import Axe
 from conftest import make_world, write_measured_session
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from calib import outputs
 from calib.cli import command
 from calib.evidence import arrivals_of_differences
 from calib.pipeline import calibrate
@@ -259,7 +261,7 @@ def test_the_reason_of_the_verdict_is_told_with_its_limit(calibrated):
         "focus, and that the board is flat, then capture again."
     )
     sentence = judge(dataclasses.replace(result, warnings=["a doubt"]), description).sentence
-    assert sentence.endswith("Use them with care, because of: warnings (1; good: none).")
+    assert "Use them with care, because of: warnings (1; good: none). First: read the warnings" in sentence
 
 
 def test_weak_directions_are_named(calibrated):
@@ -303,6 +305,56 @@ def test_numbers_are_short_and_have_no_exponent(value, words):
 )
 def test_numbers_side_by_side_have_as_many_digits(value, words):
     assert two_digits(value) == words
+
+
+def levels(result: Calibration, description: RigDescription) -> dict[str, str]:
+    return {criterion.name: criterion.level for criterion in judge(result, description).criteria}
+
+
+def test_a_picture_seen_in_part_and_one_depth_are_not_good(calibrated):
+    result, description = calibrated
+    assert levels(result, description)["Picture covered"] == "good"
+    corners_px = 0.4 * result.evidence.corners_px
+    narrow = dataclasses.replace(result, evidence=dataclasses.replace(result.evidence, corners_px=corners_px))
+    assert levels(narrow, description)["Picture covered"] != "good"
+    assert "towards the picture's edges" in judge(narrow, description).sentence
+    poses = [
+        dataclasses.replace(pose, translation_m=np.array([0, 0, 0.7 + 0.01 * number]))
+        for number, pose in enumerate(result.view.board_to_camera)
+    ]
+    flat = dataclasses.replace(result, view=dataclasses.replace(result.view, board_to_camera=poses))
+    assert levels(flat, description)["Depth covered"] == "usable"
+
+
+@pytest.mark.parametrize(("share", "level"), [(0.0, "good"), (0.3, "usable"), (0.6, "do not use")])
+def test_what_was_not_heard_counts_as_what_was_rejected(calibrated, share, level):
+    """A microphone that heard little is no good, though nothing of it was rejected."""
+    result, description = calibrated
+    evidence = result.evidence
+    residuals_s = evidence.residuals_s.copy()
+    residuals_s[: round(share * len(residuals_s)), 2] = np.nan
+    deaf = dataclasses.replace(result, evidence=dataclasses.replace(evidence, residuals_s=residuals_s))
+    assert levels(deaf, description)["Least heard microphone"] == level
+
+
+def test_channels_left_out_are_named_and_many_warnings_are_too_many(calibrated):
+    result, description = calibrated
+    audio = description.audio.model_copy(update={"channels": (*description.audio.channels, 9)})
+    more = description.model_copy(update={"audio": audio})
+    assert levels(result, more)["Microphones placed"] == "usable"
+    assert "8 of 9, without channel 9" in judge(result, more).sentence
+    warned = dataclasses.replace(result, warnings=["a doubt"] * 7)
+    assert levels(warned, description)["Warnings"] == "do not use"
+
+
+def test_every_printed_page_has_its_name_verdict_and_number(page, browser, report):
+    """Names stand in the style as numbers of their signs: they cannot end it."""
+    style = page.locator("style").first.text_content()
+    assert "".join(f"\\{ord(sign):06x}" for sign in f"Calibration of {NAME}") in style
+    for box in ("@top-left", "@top-right", "@bottom-left", "@bottom-right"):
+        assert box in style
+    assert "counter(page)" in style
+    assert "simulated, not measured" in page.locator(".kind").inner_text().lower()
 
 
 def test_residuals_are_grouped(calibrated):
@@ -365,6 +417,25 @@ def test_no_report_is_made_where_none_is_wanted(nasty, tmp_path, capsys):
     assert run_calibrate(session, "-o", target, "--no-report", "--plots", "png") == 0
     assert (tmp_path / "s1.report.html").read_text() == "precious"
     assert (tmp_path / "s1.array.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_full_disk_is_named_and_leaves_neither_result_nor_report(
+    tmp_path, simulated_description, monkeypatch, capsys
+):
+    session = write_measured_session(tmp_path / "s1.h5", simulated_description)
+
+    def full(path: Path, content: bytes, stack: object) -> Path:
+        if path.suffix == ".html":
+            raise OSError(errno.ENOSPC, "")
+        return hidden(path, content, stack)
+
+    hidden = outputs._hidden
+    monkeypatch.setattr(outputs, "_hidden", full)
+    assert run_calibrate(session) == 2
+    assert f"{tmp_path / 's1.report.html'}: No space left" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [session]
+    monkeypatch.undo()
+    assert run_calibrate(session) == 0
 
 
 def test_a_long_session_leaves_a_report_of_bearable_size(calibrated, tmp_path, simulated_description):

@@ -60,7 +60,7 @@ class Suggestion:
         turned = f"tilted {' and '.join(tilts)}" if tilts else "facing the camera"
         return (
             f"centre of the squares at x {x:+.0f}, y {y:+.0f}, z {z:.0f} mm, {turned}: the worst microphone to "
-            f"{1e3 * self.worst_std_m:#.2g} mm (now {1e3 * self.now_m:#.2g} mm)"
+            f"{1e3 * self.worst_std_m:#.3g} mm (now {1e3 * self.now_m:#.3g} mm)"
         )
 
 

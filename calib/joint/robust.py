@@ -27,6 +27,7 @@ ROUND_ITERATIONS = 4
 SETTLED, STEADY = 1e-2, 1e-7  # of the scale, from round to round: on the way, and at the end
 REJECT_SIGMAS = 4.5
 LEAST_SCALE = 1e-6  # keeps weights finite where there is no noise at all
+FEW_MICROPHONES = 4  # with fewer, that is the likely reason where nothing settles
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def solve_again(solution: JointSolution, problem: JointProblem, start: Unknowns)
     weights = _chosen(problem, solution.used_arrivals, solution.used_corners, solution.scales)
     descent = descend(problem, start, weights)
     if not descent.converged:
-        raise _not_settled(descent.n_iterations)
+        raise _not_settled(descent.n_iterations, problem)
     return JointSolution(
         problem, descent.end, solution.used_arrivals, solution.used_corners, solution.scales, descent.cost
     )
@@ -122,7 +123,7 @@ def _without_outliers(problem: JointProblem, at: Unknowns, weights: Weights, sca
         weights = _chosen(problem, arrivals, corners, scales)
         descent = descend(problem, at, weights)
         if not descent.converged:
-            raise _not_settled(descent.n_iterations)
+            raise _not_settled(descent.n_iterations, problem)
         at, previous = descent.end, scales
         scales = _scales(problem, at, weights, scales)
         if same and _alike(scales, previous, STEADY):
@@ -137,11 +138,12 @@ def _alike(first: Scales, second: Scales, tolerance: float) -> bool:
     return abs(arrivals - 1) < tolerance and abs(corners - 1) < tolerance
 
 
-def _not_settled(n_iterations: int) -> NotConvergedError:
-    return NotConvergedError(
-        f"the solve did not settle within {n_iterations} steps: the poses may be too much alike; capture more, tilted "
-        "and at several distances (with fewer than four microphones: leave fewer channels out)"
-    )
+def _not_settled(n_iterations: int, problem: JointProblem) -> NotConvergedError:
+    n_mics = problem.arrivals.arrival_s.shape[1]
+    why = "the poses may be too much alike; capture more, tilted and at several distances"
+    if n_mics < FEW_MICROPHONES:
+        why = f"{n_mics} microphones tell too little; leave fewer channels out"
+    return NotConvergedError(f"the solve did not settle within {n_iterations} steps: {why}")
 
 
 def _chosen(problem: JointProblem, arrivals: BoolArray, corners: BoolArray, scales: Scales) -> Weights:

@@ -190,6 +190,8 @@ def _more_poses(result: Calibration) -> str:
     """Say how to capture more; the commas of what follows come after the command."""
     if result.sessions:
         return "capture another session"
+    if result.sound is None:  # measured elsewhere: no session of rig-capture's
+        return "capture more poses"
     n_poses = max(POSES[0], len(result.view.pose) + MORE_POSES)
     return (
         f"capture more poses (rig-capture --session {shlex.quote(result.session_name)} --resume --poses {n_poses}; "
