@@ -89,7 +89,7 @@ def test_the_template_shows_the_default_of_every_optional_key():
         ("[1, 2, 3, 4, 5, 6, 7, 8]", "[1, 2]", "audio.channels: 2 entries: give at least 4"),
         ("[1, 2, 3, 4, 5, 6, 7, 8]", "8", "audio.channels: 8 is not a list"),
         (
-            "  # reference_microphone: {channel: 9",
+            "  # reference_microphone: {channel: 10",
             "  reference_microphone: {channel: 8",
             "audio: channel 8 is listed twice",
         ),
@@ -155,8 +155,8 @@ def test_the_branch_of_the_intrinsics_is_chosen_by_what_stands_there():
 
 
 def test_the_reference_microphone_is_recorded_last():
-    text = changed("  # reference_microphone: {channel: 9", "  reference_microphone: {channel: 9")
-    assert parse_description(text, "rig.yaml").audio.recorded_channels() == (1, 2, 3, 4, 5, 6, 7, 8, 9)
+    text = changed("  # reference_microphone: {channel: 10", "  reference_microphone: {channel: 10")
+    assert parse_description(text, "rig.yaml").audio.recorded_channels() == (1, 2, 3, 4, 5, 6, 7, 8, 10)
 
 
 def test_the_speed_of_sound_comes_from_the_temperature_or_as_given():
