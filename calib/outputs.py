@@ -73,9 +73,7 @@ def write_outputs(contents: Mapping[Path, bytes], *, overwrite: bool) -> None:
                 hidden[path] = _hidden(path, content, stack)
             except OSError as error:  # an error of writing names no file
                 raise OSError(error.errno, reason(error), str(path)) from error
-        check_outputs([path for path in contents if not overwrite], overwrite=False)  # a racing run may have been here
-        for path, temporary in hidden.items():
-            temporary.replace(path)
+        _put_in_place(hidden, overwrite=overwrite)
 
 
 def _hidden(path: Path, content: bytes, stack: ExitStack) -> Path:
@@ -86,6 +84,23 @@ def _hidden(path: Path, content: bytes, stack: ExitStack) -> Path:
         file.write(content)
     temporary.chmod(0o644)
     return temporary
+
+
+def _put_in_place(hidden: Mapping[Path, Path], *, overwrite: bool) -> None:
+    """Give files their names; where one is taken, even by a racing run, none has one."""
+    with ExitStack() as undo:
+        for path, temporary in hidden.items():
+            if overwrite:
+                temporary.replace(path)
+                continue
+            try:
+                path.hardlink_to(temporary)  # unlike a rename, fails where the name is taken
+            except FileExistsError as error:
+                raise TargetExistsError(f"{path}: already there: add --overwrite, or name another --output") from error
+            except OSError:  # a file system without hard links
+                temporary.rename(path)
+            undo.callback(path.unlink)
+        undo.pop_all()
 
 
 def _check_ours(path: Path) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import yaml
 
+from calib.outputs import write_outputs
 from calib.result import Calibration
 from calib.result_document import as_document
-from rigs.errors import TargetError, TargetExistsError, reason
+from rigs.errors import TargetExistsError
 from rigs.target import check_target
 
 
@@ -26,18 +25,7 @@ def write_calibration(result: Calibration, path: Path, *, overwrite: bool = Fals
         The disk is full.
     """
     check_result_target(path, overwrite=overwrite)
-    text = as_text(result)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise TargetError(f"{path}: cannot be made ({reason(error)}): choose another folder") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(text)
-        Path(temporary).chmod(0o644)
-        _put_in_place(Path(temporary), path, overwrite=overwrite)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+    write_outputs({path: as_text(result)}, overwrite=overwrite)
 
 
 def as_text(result: Calibration) -> bytes:
@@ -56,15 +44,3 @@ def check_result_target(path: Path, *, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         raise TargetExistsError(f"{path}: already there: add --overwrite, or name another --output")
     check_target(path, replaces="calibration" if overwrite else None)
-
-
-def _put_in_place(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    if overwrite:
-        temporary.replace(path)
-        return
-    try:
-        path.hardlink_to(temporary)  # fails where the name is taken, even by a racing run
-    except FileExistsError as error:
-        raise TargetExistsError(f"{path}: there is already something of this name: add --overwrite") from error
-    except OSError:  # a file system without hard links
-        temporary.rename(path)

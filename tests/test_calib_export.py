@@ -18,9 +18,11 @@ import yaml
 from conftest import write_measured_session
 from scipy.io import loadmat
 
+from calib import outputs
 from calib.cli import command
 from calib.export.formats import FORMATS
 from rigs.command import run
+from rigs.errors import TargetExistsError
 
 ODD = "a--b <i>&amp;\"'s1"
 
@@ -325,3 +327,17 @@ def test_commands_of_the_pages_write_the_files_that_they_name(result, tmp_path, 
         for file in set(re.findall(r"s1\.[a-z0-9.]+[a-z]", text)) - {"s1.h5"}:
             assert (tmp_path / file).exists(), (page.name, file)
     assert asked == set(FORMATS)
+
+
+def test_a_name_that_a_racing_run_has_taken_leaves_nothing_of_ours(tmp_path, monkeypatch):
+    mine, theirs = tmp_path / "a.csv", tmp_path / "b.csv"
+    hidden = outputs._hidden
+
+    def while_another_runs(path, content, stack):
+        theirs.write_bytes(b"theirs")
+        return hidden(path, content, stack)
+
+    monkeypatch.setattr(outputs, "_hidden", while_another_runs)
+    with pytest.raises(TargetExistsError, match=r"b\.csv: already there"):
+        outputs.write_outputs({mine: b"ours", theirs: b"ours"}, overwrite=False)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"b.csv": b"theirs"}

@@ -74,8 +74,7 @@ def write_folder(
 
 def as_document(verification: Verification, codec: str | None) -> dict[str, Any]:
     """Return the verification as plain values."""
-    verdict, movement, calibration = verification.verdict, verification.movement, verification.calibration
-    untold = movement.unseen(verdict.limits.moved_m)
+    verdict, calibration = verification.verdict, verification.calibration
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -96,34 +95,40 @@ def as_document(verification: Verification, codec: str | None) -> dict[str, Any]
         "n_emissions": len(verification.row),
         "n_located": int(verification.located.found.sum()),
         "errors": {spread.name: _figures(spread) for spread in spreads(verification)},
-        "movement": {
-            "told": not untold,
-            **({"why_not": untold} if untold else {}),
-            "smallest_told_m": float(f"{movement.resolution_m:.3g}") if movement.resolutions_m else None,
-            "smallest_told_by_channel_m": {
-                int(channel): float(f"{resolution_m:.3g}") for channel, resolution_m in movement.resolutions_m.items()
-            },
-            "unchecked_channels": list(verification.unchecked),
-            "swapped_channels": [list(pair) for pair in movement.swapped],
-            "another_rig": movement.is_foreign(verdict.limits.moved_m),
-            "moved": [
-                {
-                    "what": "array" if motion.channel == WHOLE_ARRAY else int(motion.channel),
-                    "shift_m": [round(float(value), 6) for value in motion.shift_m],
-                    "std_m": round(motion.std_m, 6),
-                    "farthest_m": round(motion.farthest_m, 6),
-                    "turn_deg": round(motion.turn_deg, 4),
-                    "alarm": motion in verdict.alarms,
-                }
-                for motion in movement.motions
-            ],
-        },
+        "movement": _movement(verification),
         "warnings": list(verification.warnings),
         "emissions": list(_emissions(verification)),
     }
     if codec is not None:
         document["film"] = {"file": FILM, "codec": codec}
     return document
+
+
+def _movement(verification: Verification) -> dict[str, Any]:
+    verdict, movement = verification.verdict, verification.movement
+    untold = movement.unseen(verdict.limits.moved_m)
+    return {
+        "told": not untold,
+        **({"why_not": untold} if untold else {}),
+        "smallest_told_m": float(f"{movement.resolution_m:.3g}") if movement.resolutions_m else None,
+        "smallest_told_by_channel_m": {
+            int(channel): float(f"{resolution_m:.3g}") for channel, resolution_m in movement.resolutions_m.items()
+        },
+        "unchecked_channels": list(verification.unchecked),
+        "swapped_channels": [list(pair) for pair in movement.swapped],
+        "another_rig": movement.is_foreign(verdict.limits.moved_m),
+        "moved": [
+            {
+                "what": "array" if motion.channel == WHOLE_ARRAY else int(motion.channel),
+                "shift_m": [round(float(value), 6) for value in motion.shift_m],
+                "std_m": round(motion.std_m, 6),
+                "farthest_m": round(motion.farthest_m, 6),
+                "turn_deg": round(motion.turn_deg, 4),
+                "alarm": motion in verdict.alarms,
+            }
+            for motion in movement.motions
+        ],
+    }
 
 
 def _figures(spread: Spread) -> dict[str, Any]:
